@@ -28,7 +28,7 @@ from multicell.cells import HALF, Cells, FloatArray, IntArray, Mask, Signals
 from multicell.errors import StepFailed
 from multicell.random import Purpose
 from multicell.scene.networks import (
-    columns_of,
+    columns_of_network,
     flux_factor,
     flux_of,
     input_factor,
@@ -97,7 +97,7 @@ class PlacedNetwork:
         return self.part.seconds()
 
     def solver_for(self, threads: int = 1) -> NetworkSolver:
-        """Return what solves it."""
+        """Return its solver."""
         from multicell.networks.solver import NetworkSolver
 
         part = self.part
@@ -109,7 +109,7 @@ class PlacedNetwork:
 
     @cached_property
     def solver(self) -> NetworkSolver:
-        """What solves it on one thread, and computes values that follow from others."""
+        """The solver on one thread, which also computes values that follow from others."""
         return self.solver_for()
 
     @cached_property
@@ -203,7 +203,7 @@ class Networks:
                 level, needs = find(scene, signal)
                 levels[x] = level, frozenset(needs), input_factor(scene, part, x)
             mask = np.array([kind in part.types for kind in kinds]) if part.types else None
-            names = columns_of(scene, name)
+            names = columns_of_network(scene, name)
             made = PlacedNetwork(name, part, part.model, scene.seed, mask, levels, begin, names)
             self.parts[name] = made
             begin += len(made.columns)
@@ -263,7 +263,7 @@ class Networks:
     def fluxes(
         self, field: str, cells: Cells, time: float
     ) -> tuple[FloatArray | None, FloatArray | None]:
-        """Return what cells take up and secrete of a field at a time in s, (n,) amol/s.
+        """Return uptake and secretion of a field at a time in s, (n,) amol/s.
 
         NaN in cells without a network that does, zero in dead ones, None where none does.
         """
@@ -421,7 +421,7 @@ class Networks:
     def _inherited(
         self, part: PlacedNetwork, inside: Inside, step: _Step, rows: IntArray
     ) -> Inside:
-        """Return what newborn cells have of what their mothers had at the division."""
+        """Return the share of newborn cells in their mothers' networks at the division."""
         from multicell.networks.solver import Inside
 
         model, y = part.model, inside.y.copy()
@@ -455,7 +455,7 @@ class Networks:
 
 @final
 class _Step:
-    """What all networks need of a coupling step.
+    """A coupling step as all networks need it.
 
     - ``born``, (n,): which cells were born in it; ``since``: part of the step before that
     - ``mother``: identity of the mother of those, else of the cell; ``second``: of two sisters
@@ -504,7 +504,7 @@ def _middle(
 
 
 def _binomial(total: FloatArray, z: FloatArray, second: Mask) -> FloatArray:
-    """Return what each daughter gets where chance decides for each molecule.
+    """Return the part of each daughter where chance decides for each molecule.
 
     What is left over a whole number of molecules is halved.
 

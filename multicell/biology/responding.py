@@ -130,7 +130,7 @@ def _level(scene: Scene, signals: tuple[str, ...]) -> tuple[Level, set[str]]:
 
 
 def one_level(scene: Scene, name: str) -> tuple[Level, set[str]]:
-    """Return what finds a signal, and the names of all that it is made from."""
+    """Return a function that reads a signal, and the names of all that it is made from."""
     if name == "ATP":
         energy, fields = scene.energy, scene.nutrients
         assert energy is not None

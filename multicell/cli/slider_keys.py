@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
     from multicell.studies.axes import Range
 
-_FACTORS: Final = (2.0, 1.5, 1.2)
+_FACTORS: Final = (2.0, 1.5, 1.2)  # of ranges about a value: the widest that the scene accepts
 _MOST: Final = 5  # sliders of a scene of which nobody has named one
 _OF_FIELDS: Final = ("boundary", "uptake", "quiescence", "necrosis")
 _OTHERS: Final = (

@@ -1,1 +1,1 @@
-"""What is inside a cell: networks of reactions as systems of ordinary differential equations."""
+"""Networks inside cells: reactions as systems of ordinary differential equations."""

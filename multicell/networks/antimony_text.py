@@ -14,9 +14,9 @@ import sys
 from typing import Final
 
 from multicell.errors import SceneError
-from multicell.networks.documents import MAX_BYTES
+from multicell.networks.documents import MAX_DOCUMENT
 
-_MAX_CHARACTERS: Final = 1_000_000
+_MAX_CHARACTERS: Final = 1_000_000  # of text that is given to the parser
 _SECONDS: Final = 60.0  # of a large model: one
 _MEMORY: Final = 4 * 2**30  # bytes
 _IMPORTS: Final = re.compile(r"\bimport\b", re.IGNORECASE)
@@ -63,7 +63,7 @@ def sbml_of(text: str, name: str) -> str:
     except subprocess.TimeoutExpired:
         raise SceneError(name, f"took Antimony more than {_SECONDS:.0f} s to read") from None
     answer = done.stdout.decode("utf-8", "replace")
-    if done.returncode or not answer or len(answer) > MAX_BYTES:
+    if done.returncode or not answer or len(answer) > MAX_DOCUMENT:
         raise SceneError(name, "is a text of Antimony that its library cannot read")
     if answer[0] == "-":
         words = " ".join(answer[1:].split())[:300]

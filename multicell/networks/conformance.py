@@ -1,4 +1,4 @@
-"""Whether a network keeps its promises, and how stiff it is: by its functions alone."""
+"""Checks of a network by its functions alone: its promises, and how stiff it is."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from multicell.networks.solver import Inside, NetworkFailed, NetworkSolver
 
 _AROUND = (1.0, 1.3, 0.7)
 """Factors on the start at which rates are asked for."""
-_TIGHT, _AGREE, _SUM = 1e-8, 1e-5, 1e-6
-_SLOPE = 1e-2
+_TIGHT, _AGREE, _SUM = 1e-8, 1e-5, 1e-6  # tolerances, agreement, invariants: in parts
+_SLOPE = 1e-2  # in parts of the Jacobian
 
 
 def faults_of(

@@ -18,9 +18,9 @@ from xml.parsers import expat
 from multicell.errors import SceneError
 from multicell.host import files
 
-MAX_BYTES: Final = 20_000_000  # the largest curated model of BioModels has half of it
+MAX_DOCUMENT: Final = 20_000_000  # the largest curated model of BioModels has half of it
 _MAX_DEPTH: Final = 200  # elements in elements; annotations have up to 20, formulas 50
-_MAX_ELEMENTS: Final = 500_000
+_MAX_ELEMENTS: Final = 500_000  # of a document, for its memory
 _MAX_FORMULA: Final = 5_000  # characters of a formula of Level 1, which a library reads recursively
 _MAX_QUANTITIES: Final = 20_000  # libraries search lists of them for each
 _QUANTITIES: Final = ("compartment", "parameter", "localParameter", "reaction", "species")
@@ -42,11 +42,11 @@ _REASONS: Final = {
 }
 
 
-def read_document(path: Path) -> str:
+def read_network_document(path: Path) -> str:
     """Return the text of a file of networks; SceneError with its name where it cannot be read."""
     name = str(path)
     try:
-        return files.read_text(path, MAX_BYTES)
+        return files.read_text(path, MAX_DOCUMENT)
     except FileNotFoundError:
         raise SceneError("", f"there is no file '{name}'") from None
     except UnicodeDecodeError as error:

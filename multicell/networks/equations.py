@@ -16,7 +16,7 @@ from sbmlode.astutil import is_number
 from sbmlode.astutil import name as named
 
 from multicell.errors import SceneError
-from multicell.networks.expressions import Writer, names_in
+from multicell.networks.expressions import ExpressionWriter, names_in
 
 _SIGNATURES: Final = {
     "rates": "t, y, u, p, out",
@@ -128,13 +128,15 @@ class Equations:
             parts.append(self._function(f"assign{k}", partial(self._assign, event)))
         return "\n\n".join(parts)
 
-    def _function(self, name: str, write: Callable[[Writer], None]) -> str:
-        writer = Writer(self._functions, self._operations)
+    def _function(self, name: str, write: Callable[[ExpressionWriter], None]) -> str:
+        writer = ExpressionWriter(self._functions, self._operations)
         write(writer)
         body = "".join(f"    {line}\n" for line in writer.lines or ["pass"])
         return f"def {name}({_SIGNATURES[name.rstrip('0123456789')]}):\n{body}"
 
-    def _scope(self, writer: Writer, trees: Iterable[Any], suffix: str = "") -> dict[str, str]:
+    def _scope(
+        self, writer: ExpressionWriter, trees: Iterable[Any], suffix: str = ""
+    ) -> dict[str, str]:
         """Write all that some formulas read; return what stands for each name.
 
         - ``suffix``: of the arrays from which states and constants are read
@@ -154,18 +156,18 @@ class Equations:
                 names[name] = f"a{k}"
         return names
 
-    def _outputs(self, writer: Writer, pairs: Sequence[tuple[str, Any]]) -> None:
+    def _outputs(self, writer: ExpressionWriter, pairs: Sequence[tuple[str, Any]]) -> None:
         names = self._scope(writer, [tree for _, tree in pairs])
         for place, tree in pairs:
             code = writer.value(tree, names)
             writer.lines.append(f"{place} = {code}")
 
-    def _observed(self, writer: Writer) -> None:
+    def _observed(self, writer: ExpressionWriter) -> None:
         names = self._scope(writer, map(named, self.observed))
         for k, name in enumerate(self.observed):
             writer.lines.append(f"out[{k}] = {names[name]}")
 
-    def _initial(self, writer: Writer) -> None:
+    def _initial(self, writer: ExpressionWriter) -> None:
         written = {one.variable: one.math for one in self.system.initial}
         for name in self.inputs:
             written.pop(name, None)
@@ -194,14 +196,14 @@ class Equations:
         if late or event.priority is not None or event.root is None:
             raise SceneError("", f"has the event '{event.symbol.sid}', which is not read")
 
-    def _trigger(self, event: Any, writer: Writer) -> None:
+    def _trigger(self, event: Any, writer: ExpressionWriter) -> None:
         names = self._scope(writer, [event.root, event.trigger])
         root = writer.bound(writer.value(event.root, names))
         holds = writer.truth(event.trigger, names)
         at_root = f"({_AT_ROOT} if {holds} else -{_AT_ROOT})"
         writer.lines.append(f"return {at_root} if {root} == 0.0 else {root}")
 
-    def _assign(self, event: Any, writer: Writer) -> None:
+    def _assign(self, event: Any, writer: ExpressionWriter) -> None:
         """Write new values; a concentration whose compartment changes keeps its amount."""
         changes = self._changes(event)
         suffix = "_then" if event.use_values_from_trigger_time else ""
@@ -224,7 +226,7 @@ class Equations:
             place, size = self._place(a.variable), sizes[a.divisor]
             writer.lines.append(f"{place} = {new[a.variable]} / {size}")
 
-    def _sizes_after(self, writer: Writer, sizes: set[str]) -> Mapping[str, str]:
+    def _sizes_after(self, writer: ExpressionWriter, sizes: set[str]) -> Mapping[str, str]:
         return self._scope(writer, map(named, sorted(sizes))) if sizes else {}
 
     def _place(self, name: str) -> str:

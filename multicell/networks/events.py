@@ -54,7 +54,7 @@ def event_rules(network: Network, triggers: IntArray, assigns: IntArray) -> Even
 
 
 def first_conditions(network: Network) -> FloatArray:
-    """Return what counts as the conditions before the start, (k,), in the order of the rules.
+    """Return the conditions that count before the start, (k,), in the order of the rules.
 
     0: false; -1: what it is at the start, which fires nothing.
     """

@@ -120,7 +120,7 @@ def names_in(tree: Any) -> set[str]:
 
 
 @final
-class Writer:
+class ExpressionWriter:
     """Writes formulas as lines of one function; each result is an expression for the next one.
 
     - ``functions``: name -> arguments and body of the function definitions, none of which calls

@@ -8,7 +8,7 @@ from typing import Final
 
 from multicell.errors import SceneError
 from multicell.host.extras import needs
-from multicell.networks.documents import read_document
+from multicell.networks.documents import read_network_document
 from multicell.networks.network import Network
 
 _SBML: Final = (".xml", ".sbml")
@@ -52,7 +52,7 @@ def read_network(
     if ending not in (*_SBML, *_ANTIMONY):
         hint = "SBML ends in .xml or .sbml, Antimony in .ant or .txt."
         raise SceneError("", f"'{path}' is no file of a network by its name", hint)
-    text = read_document(source)
+    text = read_network_document(source)
     needs("libsbml", "sbmlode")
     from multicell.networks.sbml import network_from_sbml
 

@@ -14,7 +14,7 @@ from numba import types
 
 from multicell.cells import FloatArray, IntArray
 from multicell.compiling import INNER, called_at, typed
-from multicell.networks.methods import Explicit, Rosenbrock
+from multicell.networks.methods import Explicit, LinearlyImplicit
 
 _inner = typed(**INNER)
 call_rates = called_at(5, lambda *_: types.float64)
@@ -27,7 +27,7 @@ _ROUNDING = 1.5e-8  # square root of the rounding of doubles: part of a state fo
 
 @final
 class Common(NamedTuple):
-    """What all cells of a network share in a coupling step.
+    """Data that all cells of a network share in a coupling step.
 
     - ``rates``: address of the rates
     - ``relative``, ``absolute``, (s,): tolerances of the error of a step
@@ -42,7 +42,7 @@ class Common(NamedTuple):
 
 @final
 class Surrounding(NamedTuple):
-    """What one cell finds in a step.
+    """Inputs of one cell in a step.
 
     - ``before``, ``after``, (m,): inputs at both ends; ``p``, (q,): its parameters
     - ``growth``: d ln(volume)/dt
@@ -97,7 +97,7 @@ def set_inputs(here, t, u):
 
 
 @_inner
-def evaluate(common, here, t, y, u, out):
+def evaluate_network(common, here, t, y, u, out):
     """Write dy/dt to ``out``: the network's rates, less what growth dilutes."""
     set_inputs(here, t, u)
     call_rates(common.rates, t, y, u, here.p, out)
@@ -116,7 +116,7 @@ def set_jacobian(common, here, t, y, s):
         typical = max(abs(y[j]), common.absolute[j] / common.relative)
         s.point[j] = y[j] + _ROUNDING * typical
         width = s.point[j] - y[j]
-        evaluate(common, here, t, s.point, s.u, s.slope)
+        evaluate_network(common, here, t, s.point, s.u, s.slope)
         for i in range(n):
             s.jacobian[i, j] = (s.slope[i] - s.f[i]) / width
         s.point[j] = y[j]
@@ -176,7 +176,7 @@ def size_of_error(common, y, trial, error):
 
 
 @_inner
-def take_implicit(common, here, table: Rosenbrock, t, h, y, s, fresh):
+def take_implicit(common, here, table: LinearlyImplicit, t, h, y, s, fresh):
     """Write the state after a Rosenbrock step to ``s.trial``; return the size of its error.
 
     ``s.f`` has the rates at ``y``, ``s.jacobian`` their derivative unless it is to be made afresh.
@@ -193,7 +193,7 @@ def take_implicit(common, here, table: Rosenbrock, t, h, y, s, fresh):
     # by difference: time is in the inputs, and may be in the rates
     width = max(1e-6 * h, 1e-12 * abs(t))
     late = t + width
-    evaluate(common, here, late, y, s.u, s.slope)
+    evaluate_network(common, here, late, y, s.u, s.slope)
     for i in range(n):
         s.slope[i] = (s.slope[i] - s.f[i]) / (late - t)
     for stage in range(table.m.size):
@@ -211,7 +211,7 @@ def take_implicit(common, here, table: Rosenbrock, t, h, y, s, fresh):
             for i in range(n):
                 k[i] = s.f[i]
         else:
-            evaluate(common, here, t + table.alpha[stage] * h, s.point, s.u, k)
+            evaluate_network(common, here, t + table.alpha[stage] * h, s.point, s.u, k)
         for other in range(stage):
             c = table.c[stage, other] / h
             for i in range(n):
@@ -244,7 +244,7 @@ def take_explicit(common, here, table: Explicit, t, h, y, s):
             for other in range(stage):
                 s.point[i] += h * table.a[stage, other] * s.stages[other, i]
             s.slope[i] = s.point[i] - before
-        evaluate(common, here, t + table.c[stage] * h, s.point, s.u, s.stages[stage])
+        evaluate_network(common, here, t + table.c[stage] * h, s.point, s.u, s.stages[stage])
     faster, moved = 0.0, 0.0
     if count > 2:
         for i in range(n):

@@ -24,24 +24,24 @@ from multicell.networks.events import (
 from multicell.networks.kernels import (
     Common,
     Surrounding,
-    evaluate,
+    evaluate_network,
     fastest,
     scratch_of,
     take_explicit,
     take_implicit,
 )
-from multicell.networks.methods import AUTO, EXPLICIT, Explicit, Rosenbrock
+from multicell.networks.methods import AUTO, EXPLICIT, Explicit, LinearlyImplicit
 
 _inner = typed(**INNER)
 
-DONE, STALLED, OUT_OF_STEPS, NOT_FINITE, CASCADE = range(5)
+CELL_DONE, CELL_STALLED, CELL_OUT_OF_STEPS, CELL_NOT_FINITE, CASCADE = range(5)
 """How a cell came through a coupling step."""
 
-STEP, IMPLICITLY, EVIDENCE, REMEMBERED = range(4)
+CELL_STEP, IMPLICITLY, EVIDENCE, REMEMBERED = range(4)
 """Places in the memory of a cell: length of its next step (0: none yet), whether it takes
 Rosenbrock steps, steps that spoke for the other kind; after these the conditions of its events."""
 
-STEPS, REJECTIONS, STIFF, FIRED, WORK = range(5)
+CELL_STEPS, CELL_REJECTIONS, STIFF, FIRED, WORK = range(5)
 """Places in what is counted of a cell: accepted and rejected steps, Rosenbrock steps, events."""
 
 _STIFF = 3.0  # h |λ| at which the explicit pair is at the limit of its stability
@@ -77,7 +77,7 @@ class Batch(NamedTuple):
 
 
 @final
-class Control(NamedTuple):
+class LoopControl(NamedTuple):
     """How steps are taken.
 
     - ``mode``: of :mod:`.methods`
@@ -184,7 +184,7 @@ def _cut_at_event(
     """Return the length of a step up to the first event in it, and whether there is one."""
     conditions = memory[REMEMBERED:]
     # the rates at the end are not needed where nothing but the cubic would ask for them
-    evaluate(common, here, t + h, s.trial, s.u, s.slope)
+    evaluate_network(common, here, t + h, s.trial, s.u, s.slope)
     x = _rises_at(common, here, rules, t, h, y, s, conditions, s.point, s.slope)
     if x > 1.0:
         return h, False
@@ -208,7 +208,7 @@ def _fire_now(common, here, rules, t, y, memory, work, s, events):
     for k in range(conditions.size):
         conditions[k] = events.was[k]
     work[FIRED] += 1
-    memory[STEP] = 0.0
+    memory[CELL_STEP] = 0.0
     return settled
 
 
@@ -242,17 +242,17 @@ def _through(common, here, rosenbrock, explicit, rules, control, y, memory, work
     while t < end:
         tried += 1
         if tried > control.most:
-            return OUT_OF_STEPS, t
+            return CELL_OUT_OF_STEPS, t
         implicit = memory[IMPLICITLY] == 1.0
         if not known:
-            evaluate(common, here, t, y, s.u, s.f)
+            evaluate_network(common, here, t, y, s.u, s.f)
             known = fresh = True
             if not _finite(s.f):
-                return NOT_FINITE, t
-        if memory[STEP] <= 0.0:
-            memory[STEP] = _first_step(common, here, y, s.f)
+                return CELL_NOT_FINITE, t
+        if memory[CELL_STEP] <= 0.0:
+            memory[CELL_STEP] = _first_step(common, here, y, s.f)
         left = end - t
-        h = here.span / count if fixed else memory[STEP]
+        h = here.span / count if fixed else memory[CELL_STEP]
         last = h >= left * (1.0 - 1e-10)
         if last:
             h = left
@@ -261,16 +261,16 @@ def _through(common, here, rosenbrock, explicit, rules, control, y, memory, work
         size, stiffness = _attempt(common, here, rosenbrock, explicit, implicit, t, h, y, s, fresh)
         fresh = fresh and not implicit
         if fixed and not _finite(s.trial):
-            return NOT_FINITE, t
+            return CELL_NOT_FINITE, t
         order = rosenbrock.order if implicit else explicit.order
         if not fixed and not size <= 1.0:
-            work[REJECTIONS] += 1
+            work[CELL_REJECTIONS] += 1
             refused = True
-            memory[STEP] = h * (min(0.9, _factor(size, order)) if size < math.inf else 0.1)
+            memory[CELL_STEP] = h * (min(0.9, _factor(size, order)) if size < math.inf else 0.1)
             _weigh(control.mode, memory, implicit, not implicit and stiffness > _STIFF)
             fresh = fresh or (memory[IMPLICITLY] == 1.0 and not implicit)
-            if memory[STEP] < _SHORTEST * (abs(t) + here.span):
-                return STALLED, t
+            if memory[CELL_STEP] < _SHORTEST * (abs(t) + here.span):
+                return CELL_STALLED, t
             continue
         longer = _factor(size, order)
         longer = min(1.0, longer) if refused else longer
@@ -286,13 +286,13 @@ def _through(common, here, rosenbrock, explicit, rules, control, y, memory, work
         for k in range(y.size):
             y[k] = s.trial[k]
         t = end if last else t + h
-        work[STEPS] += 1
+        work[CELL_STEPS] += 1
         work[STIFF] += implicit
         known, refused = False, False
         if not fixed:
             # a step that only the end has cut keeps its length
             new = h * longer
-            memory[STEP] = min(max(new, memory[STEP]) if longer >= 1.0 else new,
+            memory[CELL_STEP] = min(max(new, memory[CELL_STEP]) if longer >= 1.0 else new,
                                _LONGEST * here.span)  # fmt: skip
             speaks = stiffness < 0.5 * _STIFF if implicit else stiffness > _STIFF
             _weigh(control.mode, memory, implicit, speaks)
@@ -302,13 +302,13 @@ def _through(common, here, rosenbrock, explicit, rules, control, y, memory, work
                     return CASCADE, t
             else:
                 note_conditions(rules, here, t, y, s.u, memory[REMEMBERED:])
-    return DONE, t
+    return CELL_DONE, t
 
 
 @typed(**KERNEL, nogil=True)
 def advance_cells(
-    begin: int, end: int, common: Common, rosenbrock: Rosenbrock, explicit: Explicit,
-    rules: EventRules, control: Control, batch: Batch,
+    begin: int, end: int, common: Common, rosenbrock: LinearlyImplicit, explicit: Explicit,
+    rules: EventRules, control: LoopControl, batch: Batch,
 ) -> Any:  # fmt: skip
     """Bring the cells from ``begin`` to ``end`` (rows) through a coupling step."""
     states, inputs = batch.y.shape[1], batch.before.shape[1]

@@ -25,7 +25,7 @@ from multicell.cells import FloatArray
 
 
 @final
-class Rosenbrock(NamedTuple):
+class LinearlyImplicit(NamedTuple):
     """Coefficients of a Rosenbrock method with s stages; γ is ``gamma[0]``."""
 
     a: FloatArray
@@ -64,7 +64,7 @@ def _explicit(
     return Explicit(a, np.array(b), error, a.sum(axis=1), order)
 
 
-RODAS3: Final = Rosenbrock(
+RODAS3: Final = LinearlyImplicit(
     _lower([[0.0], [2.0, 0.0], [2.0, 0.0, 1.0]]),
     _lower([[4.0], [1.0, -1.0], [1.0, -1.0, -8.0 / 3.0]]),
     np.array([2.0, 0.0, 1.0, 1.0]),
@@ -77,7 +77,7 @@ RODAS3: Final = Rosenbrock(
 
 # fmt: off
 _LAST = [1.221224509226641, 6.019134481288629, 12.53708332932087, -0.6878860361058950]
-RODAS4: Final = Rosenbrock(
+RODAS4: Final = LinearlyImplicit(
     _lower([
         [1.544],
         [0.9466785280815826, 0.2557011698983284],
@@ -102,7 +102,7 @@ RODAS4: Final = Rosenbrock(
 """RODAS: order 4 with an estimate of order 3, L-stable, six stages."""
 
 _DP = [35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84]
-DORMAND_PRINCE: Final = _explicit(
+EXPLICIT_PAIR: Final = _explicit(
     [
         [1 / 5],
         [3 / 40, 9 / 40],
@@ -121,7 +121,7 @@ DORMAND_PRINCE: Final = _explicit(
 RK4: Final = _explicit(
     [[0.5], [0.0, 0.5], [0.0, 0.0, 1.0]], [1 / 6, 1 / 3, 1 / 3, 1 / 6], None, 4.0
 )
-EULER: Final = _explicit([], [1.0], None, 1.0)
+FIXED_EULER: Final = _explicit([], [1.0], None, 1.0)
 
 AUTO, IMPLICIT, EXPLICIT = range(3)
 """How a method goes: each cell by its own stiffness, or always one of the two."""
@@ -140,7 +140,7 @@ class NetworkMethod:
 
     name: str
     mode: int
-    rosenbrock: Rosenbrock
+    rosenbrock: LinearlyImplicit
     explicit: Explicit
     words: str
 
@@ -154,16 +154,16 @@ METHODS: Final[dict[str, NetworkMethod]] = {
     method.name: method
     for method in (
         NetworkMethod(
-            "auto", AUTO, RODAS3, DORMAND_PRINCE,
+            "auto", AUTO, RODAS3, EXPLICIT_PAIR,
             "explicit or Rosenbrock, for each cell by its own stiffness",
         ),
-        NetworkMethod("rodas3", IMPLICIT, RODAS3, DORMAND_PRINCE, "Rosenbrock of order 3"),
-        NetworkMethod("rodas4", IMPLICIT, RODAS4, DORMAND_PRINCE, "Rosenbrock of order 4"),
+        NetworkMethod("rodas3", IMPLICIT, RODAS3, EXPLICIT_PAIR, "Rosenbrock of order 3"),
+        NetworkMethod("rodas4", IMPLICIT, RODAS4, EXPLICIT_PAIR, "Rosenbrock of order 4"),
         NetworkMethod(
-            "dormand-prince", EXPLICIT, RODAS3, DORMAND_PRINCE, "explicit pair of orders 5 and 4"
+            "dormand-prince", EXPLICIT, RODAS3, EXPLICIT_PAIR, "explicit pair of orders 5 and 4"
         ),
         NetworkMethod("rk4", EXPLICIT, RODAS3, RK4, "explicit, order 4, fixed steps"),
-        NetworkMethod("euler", EXPLICIT, RODAS3, EULER, "explicit, order 1, fixed steps"),
+        NetworkMethod("euler", EXPLICIT, RODAS3, FIXED_EULER, "explicit, order 1, fixed steps"),
     )
 }  # fmt: skip
 """The methods of networks by name."""

@@ -24,7 +24,7 @@ from multicell.networks.equations import Equations
 from multicell.networks.expressions import nodes_of
 from multicell.networks.generated import functions_of
 from multicell.networks.network import Event, Network
-from multicell.networks.stated_units import second_of, units_of
+from multicell.networks.stated_units import second_of, units_stated
 
 _IDENTIFIER: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,127}")
 _MAX_EXPANDED: Final = 100_000  # nodes of a formula with all that libraries put into it
@@ -54,7 +54,7 @@ def network_from_sbml(
         _check_sizes(model)
         _check_references(model)
         system = _system(document)
-        units, second = units_of(model), second_of(model)
+        units, second = units_stated(model), second_of(model)
         if system.size_rates or "rateOf" in text:
             _check_moving(system, inputs)
         return _network(system, model.getId() or name, inputs, given, units, second)
@@ -291,6 +291,6 @@ def _events(plan: Equations, functions: Mapping[str, Any]) -> Iterable[Event]:
 
 
 def _extensive(system: Any) -> set[str]:
-    """Return what halves with the cell: amounts, and sizes of compartments."""
+    """Return the quantities that halve with the cell: amounts, and sizes of compartments."""
     amounts = {q.symbol.sid for q in system.species if q.amount}
     return amounts | {q.symbol.sid for q in system.compartments}

@@ -1,4 +1,4 @@
-"""What brings all cells of a network through a coupling step, and finds steady states.
+"""Solver that brings all cells of a network through a coupling step, and finds steady states.
 
 Failures are data with words: a cell that cannot be solved ends the step, with its row and time.
 """
@@ -18,13 +18,13 @@ from multicell.networks.events import event_rules, first_conditions
 from multicell.networks.kernels import Common, call_initial, call_rates
 from multicell.networks.loop import (
     CASCADE,
-    DONE,
-    NOT_FINITE,
-    OUT_OF_STEPS,
+    CELL_DONE,
+    CELL_NOT_FINITE,
+    CELL_OUT_OF_STEPS,
+    CELL_STALLED,
     REMEMBERED,
-    STALLED,
     Batch,
-    Control,
+    LoopControl,
     advance_cells,
 )
 from multicell.networks.methods import method_of
@@ -40,9 +40,9 @@ _FLOOR, _SMALLEST = 1e-3, 1e-6  # of a state's own start, of the largest one: wh
 _SHARED = 256  # cells for each thread that shares the work
 
 _WORDS: Final = {
-    STALLED: "its steps become too short to count",
-    OUT_OF_STEPS: f"it takes more than {MOST_STEPS} steps",
-    NOT_FINITE: "a rate or a state is no finite number",
+    CELL_STALLED: "its steps become too short to count",
+    CELL_OUT_OF_STEPS: f"it takes more than {MOST_STEPS} steps",
+    CELL_NOT_FINITE: "a rate or a state is no finite number",
     CASCADE: "its events set off each other without end",
 }
 
@@ -107,7 +107,7 @@ class NetworkSolver:
         self.method = method_of(method, relative)
         if self.method.fixed and not length > 0.0:
             raise ValueError(f"the method {method!r} needs the length of its steps")
-        self._control = Control(self.method.mode, MOST_STEPS, length)
+        self._control = LoopControl(self.method.mode, MOST_STEPS, length)
         self._at = addresses(network)
         self._rules = event_rules(network, self._at.triggers, self._at.assigns)
         self._team = Team(threads)
@@ -180,7 +180,7 @@ class NetworkSolver:
             advance_cells, count, common, self.method.rosenbrock, self.method.explicit,
             self._rules, self._control, batch,
         )  # fmt: skip
-        failed = np.flatnonzero(batch.status != DONE)
+        failed = np.flatnonzero(batch.status != CELL_DONE)
         if len(failed):
             row = int(failed[0])
             problem = _WORDS[int(batch.status[row])]
@@ -227,7 +227,7 @@ class NetworkSolver:
         raise NetworkFailed(row, time, "it does not come to rest")
 
 
-_DOUBLINGS: Final = 24
+_DOUBLINGS: Final = 24  # of the time in which a steady state is looked for
 
 
 @typed(**KERNEL)

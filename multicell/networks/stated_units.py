@@ -39,7 +39,7 @@ def second_of(model: Any) -> float | None:
     return None if text is None else unit_factor(text, "s")
 
 
-def units_of(model: Any) -> dict[str, str]:
+def units_stated(model: Any) -> dict[str, str]:
     """Return the stated unit of each quantity of a model by its identifier.
 
     A unit that cannot be written as one of this package's is a text that nothing reads as a unit,

@@ -100,6 +100,8 @@ class FieldSystem:
     - ``respond``: absent: cells do not respond
     - ``fluxes``: absent: no network takes up or secretes anything
 
+    - ``time``: of what the cells do now, s: rates of networks may hang on it
+
     - ``fields``, name -> NutrientField
     - ``groups``, list of FieldGroup: the same in the groups that are solved for together, in the
       order of solving
@@ -120,7 +122,7 @@ class FieldSystem:
         respond: Respond | None = None,
         fluxes: Fluxes | None = None,
     ) -> None:
-        self._fluxes, self._time = fluxes, 0.0
+        self._fluxes, self.time = fluxes, 0.0
         self._ahead: Mapping[str, FloatArray] = {}
         known: dict[str, Any] = {**scene.reactions, **(reactions or {})}
         self._scene, self._nutrients, self._respond = scene, scene.nutrients, respond
@@ -170,6 +172,7 @@ class FieldSystem:
 
     def begin(self, cells: Cells, time: float, *, again: bool = False) -> None:
         """Solve for the fields at the start of a run; ``again`` for other states of its cells."""
+        self.time = time
         tissue = Tissue(cells.position, cells.radius)
         for group in self.groups:
             if again:
@@ -258,7 +261,7 @@ class FieldSystem:
           beginning
         """
         self._continue()
-        self._time = begin
+        self.time = begin
         began: dict[str, Demand] = {}
         shares = np.zeros(0)
         if before is not None and self._marched:
@@ -274,7 +277,7 @@ class FieldSystem:
             for name in self._marched:
                 one, other = self.demand(name, before)
                 began[name] = earlier * one[row], None if other is None else earlier * other[row]
-        self._time, self._ahead = end, ahead or {}
+        self.time, self._ahead = end, ahead or {}
         tissue = Tissue(cells.position, cells.radius)
         for names in self._circles.values():  # as the fields of the last step have them
             found = {x: self.fields[x].sample(cells.position, cells.radius) for x in names}
@@ -490,7 +493,7 @@ class FieldSystem:
         nutrient, capacity = self._nutrients[name], self._capacity(name, cells, concentrations)
         given, made = None, None
         if self._fluxes is not None:
-            given, made = self._fluxes(name, cells, self._time)
+            given, made = self._fluxes(name, cells, self.time)
         if nutrient.secretion == 0.0 and not nutrient.secretion_from and given is made is None:
             return capacity, None
         production = nutrient.secretion * self._active("secretion", name, cells, concentrations)
@@ -527,7 +530,7 @@ class FieldSystem:
         for other, law in nutrient.uptake_on.items():
             if other in concentrations:  # at the start one of a circle is not there yet
                 factor = factor * law.factor(concentrations[other])
-        given = None if self._fluxes is None else self._fluxes(name, cells, self._time)[0]
+        given = None if self._fluxes is None else self._fluxes(name, cells, self.time)[0]
         if given is not None:
             # the largest uptake whose part at what the cell finds is the given one
             own = np.maximum(given, 0.0) / np.maximum(self._share(name, cells), _LEAST_SHARE)
@@ -542,7 +545,7 @@ class FieldSystem:
         if field.laid:
             return field.uptake(cells.position, one, cells.radius)
         nutrient = self._nutrients[name]
-        level = nutrient.medium(self._time)
+        level = nutrient.medium(self.time)
         return one * (level / (level + nutrient.half_saturation))
 
     def _sample(self, name: str, group: FieldGroup, cells: Cells, capacity: FloatArray) -> None:

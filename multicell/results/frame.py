@@ -165,7 +165,7 @@ class Frame:
 
     @property
     def inside(self) -> dict[str, FloatArray]:
-        """What networks in the cells hold, ``NETWORK.NAME`` -> (n,), NaN in cells without it."""
+        """Values of networks in the cells, ``NETWORK.NAME`` -> (n,), NaN in cells without it."""
         if self.cells.inside is None or self.progress is None:
             return {}
         pairs = zip(self.progress.inside, self.cells.inside.T, strict=True)

@@ -1,4 +1,4 @@
-"""What a scene says of networks inside its cells, and whether that fits to the rest of it.
+"""Networks inside the cells of a scene, and whether they fit the rest of it.
 
 Species, parameters and rules of a network are signals: ``NETWORK.NAME``; in the neighbours that
 touch a cell they are ``neighbours.NETWORK.NAME`` (their mean) and ``sum of
@@ -21,7 +21,7 @@ from multicell.scene.checks import check_kinds, check_names
 from multicell.schema import (
     Draw,
     choice,
-    draws,
+    drawn_numbers,
     flag,
     near_miss,
     number,
@@ -69,7 +69,7 @@ class CellNetwork:
     time_unit: float | None = quantity(
         "s", default=None, above=0, doc="of the network's time, where it states none; absent: 1 s"
     )
-    parameters: Mapping[str, float | Draw] | None = draws(
+    parameters: Mapping[str, float | Draw] | None = drawn_numbers(
         doc="in place of the network's own, in its unit: a value, or what each cell draws"
     )
     fluxes: Mapping[str, str] | None = texts(
@@ -156,9 +156,9 @@ def _read(file: str, _: str, inputs: tuple[str, ...], given: tuple[str, ...]) ->
 
 
 def _digest(path: str) -> str:
-    from multicell.networks.documents import read_document
+    from multicell.networks.documents import read_network_document
 
-    return hashlib.sha256(read_document(Path(path)).encode()).hexdigest()
+    return hashlib.sha256(read_network_document(Path(path)).encode()).hexdigest()
 
 
 def place_networks(entries: dict[str, Any], source: str | Path) -> dict[str, Any]:
@@ -179,7 +179,7 @@ HIDDEN: Final = "~"
 """In the names of columns of ``Cells.inside`` that are no values of a network."""
 
 
-def columns_of(scene: Scene, name: str) -> tuple[str, ...]:
+def columns_of_network(scene: Scene, name: str) -> tuple[str, ...]:
     """Return the names of the columns of ``Cells.inside`` that a network has.
 
     First its states, then parameters where events may change them; hidden ones are its inputs at
@@ -201,7 +201,7 @@ def columns_of(scene: Scene, name: str) -> tuple[str, ...]:
 def network_columns(scene: Scene) -> tuple[str, ...]:
     """Return the names of all columns of ``Cells.inside`` of a scene."""
     order = network_order(scene)
-    return tuple(x for name in order for x in columns_of(scene, name))
+    return tuple(x for name in order for x in columns_of_network(scene, name))
 
 
 def network_states(scene: Scene) -> dict[str, int]:
@@ -300,7 +300,7 @@ def flux_of(part: CellNetwork, field: str) -> tuple[str, str]:
 
 
 def flux_factor(part: CellNetwork, field: str) -> float:
-    """Return what a rate of the network is multiplied by to be in amol/s.
+    """Return the factor that brings a rate of the network to amol/s.
 
     One without a unit is in amol over the network's own unit of time.
     """
@@ -316,7 +316,7 @@ def flux_factor(part: CellNetwork, field: str) -> float:
 
 
 def input_factor(scene: Scene, part: CellNetwork, name: str) -> float:
-    """Return what a signal in base units is multiplied by to be an input in the network's unit."""
+    """Return the factor that brings a signal in base units to the unit of an input."""
     from multicell.behaviours.catalogue import signal_unit
 
     if name in (part.scales or {}):

@@ -18,7 +18,7 @@ from multicell.schema.declarations import (
     choice,
     count,
     course,
-    draws,
+    drawn_numbers,
     file_path,
     flag,
     interval,
@@ -53,8 +53,8 @@ from multicell.schema.part import (
 
 __all__ = [
     "Bounds", "Draw", "Parameter", "Tables", "build_part", "choice", "chosen", "count", "course",
-    "draws", "file_path", "flag", "interval", "leaves", "measure", "measure_points", "moments",
-    "names", "near_miss", "number", "parameters", "part_as_dict", "quantities", "quantity",
-    "schedule", "separated", "specs", "table", "tables", "text", "texts", "variant", "vector",
-    "whole_numbers",
+    "drawn_numbers", "file_path", "flag", "interval", "leaves", "measure", "measure_points",
+    "moments", "names", "near_miss", "number", "parameters", "part_as_dict", "quantities",
+    "quantity", "schedule", "separated", "specs", "table", "tables", "text", "texts", "variant",
+    "vector", "whole_numbers",
 ]  # fmt: skip

@@ -322,7 +322,7 @@ class Draw(NamedTuple):
     variation: float
 
 
-def draws(*, doc: str = "") -> Any:
+def drawn_numbers(*, doc: str = "") -> Any:
     """Declare an optional table of names to numbers, or to what each cell draws.
 
     A draw is written ``{ mean = 1.0, variation = 0.2 }`` and stored as a :class:`Draw`.
@@ -351,7 +351,7 @@ def draws(*, doc: str = "") -> Any:
         return {name: x._asdict() if isinstance(x, Draw) else x for name, x in value.items()}
 
     return declare(
-        "draws", lambda value, path: read_named(value, path, one) or None, None,
+        "drawn_numbers", lambda value, path: read_named(value, path, one) or None, None,
         plain=to_plain, doc=doc,
     )  # fmt: skip
 
@@ -467,8 +467,8 @@ def _refuse_change(self: Any, name: str, value: object) -> NoReturn:
     kw_only_default=True,
     field_specifiers=(
         quantity, measure, measure_points, number, count, choice, text, file_path, flag,
-        names, interval, vector, whole_numbers, moments, course, schedule, quantities, texts, draws,
-        table, variant, tables,
+        names, interval, vector, whole_numbers, moments, course, schedule, quantities, texts,
+        drawn_numbers, table, variant, tables,
     ),
 )  # fmt: skip
 def parameters(cls: type[T]) -> type[T]:

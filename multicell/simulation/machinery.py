@@ -64,7 +64,7 @@ class Machinery:
 
     def load(self, state: RunState) -> None:
         """Let the parts continue from a state."""
-        self.field_system.state = state.fields
+        self.field_system.state, self.field_system.time = state.fields, state.timeline.time
         vars(self.mover.system.work).update(state.work)
         if state.cavity is not None:
             self.mover.cavity = state.cavity

@@ -21,6 +21,14 @@ from multicell.simulation.run_state import RunState
 HOUR = 3600.0
 ALIKE = {"surface_energy": {"a": 0.1, "b": 0.1}, "ligand": 1.0}
 DRUGGED = {"signal": "drug", "law": "hill", "half": 0.5}
+
+
+@mc.network(states={"A": 1.0}, inputs={"source": 0.0}, parameters={"k": 2e-4})
+def relax(t, y, u, p, out):
+    """Relaxation towards an input."""
+    out[0] = p[0] * (u[0] - y[0])
+
+
 SCENE = mc.Scene.from_dict(
     {
         "duration": "2 d", "coupling_step": "20 min", "seed": 5,
@@ -34,6 +42,8 @@ SCENE = mc.Scene.from_dict(
                                  "mitotic_divisions": 2, "times": ["1.5 h"]}},
         "types": {"a": {**ALIKE, "receptor": [[0, 1], ["9 h", 3]]},
                   "b": {**ALIKE, "receptor": 2.0}},
+        "networks": {"relax": {"network": relax, "inputs": {"source": "oxygen"},
+                               "parameters": {"k": {"mean": 2e-4, "variation": 0.3}}}},
         "motions": {"m": {"cells": [0, 1], "velocity": ["1 nm/s", 0, 0]}},
         "nutrients": {
             "oxygen": {"boundary": 0.05, "quiescence": 0.03, "growth_half_saturation": 0.02},
@@ -240,8 +250,16 @@ HELD = {
     "Simulation": {"_state", "_draft"},
     "Machinery": {"wall"},
     "Mover": set(),
-    # all but courses, which belong to a step, stand in FieldsState
-    "FieldSystem": {"ledger", "concentrations", "reports", "courses", "_changes", "_uptake"},
+    # all but courses, which belong to a step, and the time stand in FieldsState
+    "FieldSystem": {
+        "ledger",
+        "concentrations",
+        "reports",
+        "courses",
+        "time",
+        "_changes",
+        "_uptake",
+    },
     # all of these stand in Solution
     "NutrientField": {"_layout", "values", "_conditions", "well_mixed"},
 }

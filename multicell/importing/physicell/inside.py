@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from multicell.importing.files import Element
     from multicell.networks.network import Network
 
-_MINUTE: Final = 60.0
+_MINUTE: Final = 60.0  # s
 _READ: Final = ("roadrunner", "sbml")
 _NAMES: Final = {
     "maboss": "a Boolean network (MaBoSS)",

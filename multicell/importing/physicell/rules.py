@@ -202,7 +202,7 @@ def set_behaviour(
 
 
 def _at_nothing(rule: Rule, end: Callable[[Rule], float]) -> float:
-    """Return what a rule's behaviour is where its network makes nothing."""
+    """Return the value of a rule's behaviour where its network makes nothing."""
     top, rule.end = rule.end, 0.0
     try:
         return end(rule)

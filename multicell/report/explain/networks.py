@@ -1,4 +1,4 @@
-"""What a scene's networks inside cells are, in words."""
+"""Networks inside the cells of a scene, in words."""
 
 from __future__ import annotations
 

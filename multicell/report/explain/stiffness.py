@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 _LATTICE: Final = {2: 6.0, 3: 8.0}
-_DAUGHTERS: Final = 3.0
+_DAUGHTERS: Final = 3.0  # stiffnesses of their contact: two, and half as much by neighbours
 _SIZES: Final = (100, 1000, 10_000, 100_000)  # cells of the tiles
 
 

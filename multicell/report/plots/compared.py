@@ -15,7 +15,7 @@ from multicell.report.wording import TimeUnit, time_unit, written
 from multicell.results.quantities import title_of
 
 _COLUMNS: Final = 2
-_MAX_PANELS: Final = 8
+_MAX_PANELS: Final = 8  # on one page
 
 
 @style.styled
