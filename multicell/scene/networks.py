@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import lru_cache
@@ -291,6 +291,21 @@ def check_network_signal(scene: Scene, name: str, path: str) -> None:
         raise SceneError(path, f"is {name!r}, which is no signal here", hint)
 
 
+def check_kinds_have(scene: Scene, signal: str, kinds: Collection[str], path: str) -> None:
+    """Raise ``SceneError`` where cells are to find what a network in them makes, and some lack it.
+
+    - ``kinds``: types of the cells; empty for all
+    """
+    network, dot, _ = signal.partition(".")
+    if not dot or network not in scene.networks or not scene.networks[network].types:
+        return
+    having = scene.networks[network].types
+    lacking = [kind for kind in kinds or scene.types if kind not in having]
+    if lacking:
+        problem = f"is {signal!r}, but cells of type {lacking[0]!r} have no network {network!r}"
+        raise SceneError(path, problem, f"Only these have it: cells = {', '.join(having)!r}.")
+
+
 def check_networks(scene: Scene, check_signal: Callable[[Scene, str, str], None]) -> None:
     """Raise ``SceneError`` for networks that do not fit to the scene.
 
@@ -327,6 +342,7 @@ def _check_one(
                          f"{model.time_unit:g} s", "Leave it out.")  # fmt: skip
     for name, signal in (part.inputs or {}).items():
         check_signal(scene, signal, f"inputs.{name}")
+        check_kinds_have(scene, signal, part.types, f"inputs.{name}")
         input_factor(scene, part, name)
     for name, rule in (part.divide or {}).items():
         if rule not in DIVIDE:
