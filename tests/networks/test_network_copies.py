@@ -2,6 +2,8 @@
 
 import shutil
 
+import h5py
+import numpy as np
 import pytest
 from stored import assert_same_bits
 
@@ -129,3 +131,39 @@ def test_a_study_goes_on_without_the_file(scene, tmp_path):
     placed = study.plan.scene
     assert placed.networks["hif"].file == str(tmp_path / "study" / COPY)
     assert run_digest(placed) == run_digest(scene)
+
+
+def test_damage_to_what_networks_hold_is_refused(scene, tmp_path):
+    run(scene, tmp_path / "out")
+    for damage in ("value", "unknown", "rows", "columns", "absent"):
+        folder = tmp_path / damage
+        shutil.copytree(tmp_path / "out", folder)
+        with h5py.File(folder / "frames.h5", "r+") as file:
+            inside = file["cells/inside"]
+            assert inside.shape[1] == 5
+            if damage == "absent":
+                del file["cells/inside"]
+            elif damage == "rows":
+                inside.resize(1 << 25, axis=0)
+            elif damage == "columns":
+                values = inside[:, :4]
+                del file["cells/inside"]
+                file["cells"].create_dataset("inside", data=values)
+            else:
+                inside[-1, 0] = np.nan if damage == "unknown" else inside[-1, 0] + 1e-9
+        with pytest.raises(OutputError) as found:
+            _ = mc.load_result(folder).frames[-1].cells
+        assert found.value.damaged, damage
+
+
+def test_what_a_killed_run_leaves_is_resumed_to_the_same_bits(scene, tmp_path):
+    def leave(simulation):
+        if simulation.step_index in (3, 17):  # as the system has it at that moment
+            shutil.copytree(tmp_path / "out", tmp_path / f"left{simulation.step_index}")
+
+    run(scene, tmp_path / "out", progress=leave)
+    forget(tmp_path)
+    for folder in (tmp_path / "left3", tmp_path / "left17"):
+        assert (folder / "frames.journal").is_file()
+        mc.resume(folder, threads=1, report=False)
+        assert_same_bits(folder, tmp_path / "out")
