@@ -160,7 +160,7 @@ class _Document:
     digest: str
 
     def text(self) -> str:
-        """Return what it holds; raises ``SceneError`` if it is not the one that is meant."""
+        """Return its text; raises ``SceneError`` for a file with another digest."""
         text = _text(self.path)
         if _digest(text) != self.digest:
             raise _other_file(self.path)
