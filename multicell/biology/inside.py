@@ -168,13 +168,33 @@ class PlacedNetwork:
         if name in model.inputs:
             return cells.inside[:, self.begin + self.edges[1] + model.inputs.index(name)]
         out, rows = np.full(len(cells), np.nan), self.rows_with(cells)
-        known, u = self.read(cells.inside[rows], cells.id[rows])
-        if name in model.parameters:
-            out[rows] = known.p[:, model.parameters.index(name)]
-        else:
-            place = model.observed.index(name)
-            out[rows] = self.solver.observe(known, u, time / self.seconds)[:, place]
+        out[rows] = self._of(name, *self.read(cells.inside[rows], cells.id[rows]), time)
         return out
+
+    def _of(self, name: str, known: Inside, u: FloatArray, time: float) -> FloatArray:
+        model = self.model
+        if name in model.states:
+            return known.y[:, model.states.index(name)]
+        if name in model.inputs:
+            return u[:, model.inputs.index(name)]
+        if name in model.parameters:
+            return known.p[:, model.parameters.index(name)]
+        values = self.solver.observe(known, u, time / self.seconds)
+        return values[:, model.observed.index(name)]
+
+    def filled(self, own: FloatArray, name: str, cells: Cells, time: float) -> FloatArray:
+        """Return values of cells, with those that the network begins with in cells without it.
+
+        They count in cells that become one of its types before it is in them.
+        """
+        assert cells.inside is not None
+        rows = np.flatnonzero(np.isnan(cells.inside[:, self.begin + self.edges[2]]))
+        if rows.size:
+            ids, own = cells.id[rows], own.copy()
+            u = np.tile(np.array(self.model.defaults, dtype=float), (len(rows), 1))
+            known = self.solver.begin(len(rows), u, self.values(ids))
+            own[rows] = self._of(name, known, u, time)
+        return own
 
     def rows_with(self, cells: Cells) -> IntArray:
         """Return the rows of the cells in which it is."""
@@ -232,9 +252,12 @@ class Networks:
             network, _, name = (
                 signal.removeprefix(SUM_OF).removeprefix(OF_NEIGHBOURS).partition(".")
             )
-            own = self.parts[network].value(name, cells, time)
+            part = self.parts[network]
+            own = part.value(name, cells, time)
             if OF_NEIGHBOURS in signal:
                 own = _around(own, pairs(), mean=not signal.startswith(SUM_OF))
+            elif part.kinds is not None:
+                own = part.filled(own, name, cells, time)
             out[signal] = own
         return out
 

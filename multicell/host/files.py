@@ -45,6 +45,12 @@ def read_regular(path: Path, largest: int) -> bytes:
     return content
 
 
+def name_beside(file: str, folder: Path) -> str:
+    """Return how a file in a folder names another one: by its name alone if it is there too."""
+    place, name = os.path.split(file)
+    return name if place == os.path.abspath(folder) else file
+
+
 def read_text(path: Path, largest: int) -> str:
     r"""Return the text of a regular file, its lines ending in ``\n``, as :func:`read_regular`."""
     text = read_regular(path, largest).decode("utf-8-sig")

@@ -48,11 +48,23 @@ def read_network(
         Where the packages of the extra ``networks`` are not installed.
     """
     source = Path(path).expanduser()
-    ending = source.suffix.lower()
+    _ending(source)  # the name comes first
+    return network_of_text(read_network_document(source), source, inputs, given)
+
+
+def _ending(path: str | Path) -> str:
+    ending = Path(path).suffix.lower()
     if ending not in (*_SBML, *_ANTIMONY):
         hint = "SBML ends in .xml or .sbml, Antimony in .ant or .txt."
         raise SceneError("", f"'{path}' is no file of a network by its name", hint)
-    text = read_network_document(source)
+    return ending
+
+
+def network_of_text(
+    text: str, path: str | Path, inputs: Sequence[str] = (), given: Collection[str] = ()
+) -> Network:
+    """Return the network of a file whose text is known; see :func:`read_network`."""
+    ending, name = _ending(path), Path(path).name
     needs("libsbml", "sbmlode")
     from multicell.networks.sbml import network_from_sbml
 
@@ -60,6 +72,6 @@ def read_network(
         from multicell.networks.antimony_text import sbml_of
 
         needs("antimony")
-        text = sbml_of(text, source.name)
-        return network_from_sbml(text, f"{source.name} as SBML", inputs, given)
-    return network_from_sbml(text, source.name, inputs, given)
+        text = sbml_of(text, name)
+        return network_from_sbml(text, f"{name} as SBML", inputs, given)
+    return network_from_sbml(text, name, inputs, given)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, final, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.errors import FrameError, OutputError
+from multicell.errors import FrameError, OutputError, SceneError
 from multicell.report.wording import cell_count, measures, time_unit
 from multicell.results.frame import Frame, Named
 from multicell.results.history import History
@@ -359,11 +359,17 @@ def recorded_scene(contents: Contents) -> Scene:
 def scene_of_text(text: str, path: Path) -> Scene:
     """Return the scene that frames are of, whose ``scene.toml`` is at ``path``."""
     from multicell.host.files import parse_toml
-    from multicell.scene.scene import Scene
-    from multicell.scene.start_table import place_table
+    from multicell.scene.networks import COPIED_NETWORK, OTHER_FILE
+    from multicell.scene.scene import Scene, place_files
 
     try:
-        return Scene.from_dict(place_table(parse_toml(text), path))
+        return Scene.from_dict(place_files(parse_toml(text), path))
+    except SceneError as error:
+        if not (error.path.startswith("networks.") and COPIED_NETWORK in error.problem):
+            raise
+        damaged = any(words in error.problem for words in (OTHER_FILE, "UTF-8"))
+        problem = f"{error.path}: {error.problem}"
+        raise OutputError(problem, damaged=damaged) from error
     except ValueError as error:
         raise OutputError(f"the scene in '{path.parent}' is damaged: {error}") from error
 

@@ -19,6 +19,7 @@ from filelock import FileLock, Timeout
 from multicell import __version__
 from multicell.errors import OutputError
 from multicell.host.interrupts import UNCUT
+from multicell.scene.networks import COPIED_NETWORK, networks_copied
 from multicell.scene.scene import Scene
 from multicell.scene.start_table import COPIES
 
@@ -35,7 +36,7 @@ RUN_FILES: Final = (
     "contacts.png",
     "pull.png",
 )
-"""Everything that a run leaves in its output folder, and all that overwriting removes there."""
+"""What a run leaves in its output folder; overwriting removes it, and copies of networks."""
 
 PASSING: Final = ("frames.journal", "scene.toml.next")
 """Files that are there only during a run, or after it was killed or met a full disk."""
@@ -164,6 +165,13 @@ def is_begun(folder: str | Path, content: Mapping[str, bytes | str]) -> bool:
     return False
 
 
+def copied_networks(folder: Path) -> list[str]:
+    """Return the names of the copies of networks in a folder."""
+    with file_errors("read", folder):
+        there = os.listdir(folder)
+    return [name for name in there if Path(name).stem.endswith(COPIED_NETWORK)]
+
+
 def remove(folder: Path, names: Iterable[str]) -> None:
     """Remove files of a run, also half-written ones; of links the links, not what they lead to."""
     with file_errors("read", folder):
@@ -283,23 +291,30 @@ def to_json(value: Any) -> str:
 
 
 def with_copy(scene: Scene, folder: Path) -> Scene:
-    """Return a scene that names a copy of its table in a folder; it is written if not there.
+    """Return a scene that names copies of its files in a folder; they are written if not there.
 
-    A scene without a table is returned as it is.
+    Those are a table of cells and networks. A scene without them is returned as it is.
     """
     copied, files = copy_of(scene, folder)
+    write_copies(folder, files)
+    return copied
+
+
+def write_copies(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files, name -> content, that are not in a folder yet."""
     for name, content in files.items():
         path = folder / name
         if not path.is_file() or path.read_bytes() != content:
             write_bytes(path, content)
-    return copied
 
 
 def copy_of(scene: Scene, folder: Path) -> tuple[Scene, dict[str, bytes]]:
-    """Do as :func:`with_copy`, and return the content of the copy by its name."""
-    table = scene.initial.cells
-    if table is None:
-        return scene, {}
-    name, content = table.content()
-    cells = replace(table, file=str(folder / name), columns="", frame=None, time=None)
-    return replace(scene, initial=replace(scene.initial, cells=cells)), {name: content}
+    """Do as :func:`with_copy`, and return the content of the copies by their names."""
+    table, files = scene.initial.cells, {}
+    if table is not None:
+        name, content = table.content()
+        cells = replace(table, file=str(folder / name), columns="", frame=None, time=None)
+        scene = replace(scene, initial=replace(scene.initial, cells=cells))
+        files[name] = content
+    scene, networks = networks_copied(scene, folder)
+    return scene, {**files, **networks}

@@ -56,6 +56,7 @@ from multicell.results.folder import (
     LIVE,
     PASSING,
     RUN_FILES,
+    copied_networks,
     copy_of,
     file_errors,
     is_begun,
@@ -64,7 +65,7 @@ from multicell.results.folder import (
     put_in_place,
     remove,
     versions,
-    with_copy,
+    write_copies,
     write_text,
 )
 from multicell.results.frame import Frame
@@ -124,11 +125,11 @@ class Store:
             stack.enter_context(lock_folder(folder))
             # another run may have come first
             make_folder(folder, overwrite=overwrite or _is_begun(folder, scene))
-            # a table of cells may be one of the files that are removed
-            scene = with_copy(scene, folder)
-            table = scene.initial.cells
-            kept = "" if table is None else Path(table.file).name
-            remove(folder, (name for name in (*PASSING, *LIVE, *RUN_FILES) if name != kept))
+            # what the scene names may be one of the files that are removed
+            scene, kept = copy_of(scene, folder)
+            write_copies(folder, kept)
+            old = (*PASSING, *LIVE, *RUN_FILES, *copied_networks(folder))
+            remove(folder, (name for name in old if name not in kept))
             text = scene.to_toml(versions(), beside=folder)
             write_text(folder / "scene.toml", text)
             names = tuple(scene.nutrients)

@@ -7,9 +7,11 @@ neighbours.NETWORK.NAME``.
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
@@ -20,6 +22,7 @@ from multicell.errors import SceneError
 from multicell.scene.checks import check_kinds, check_names
 from multicell.schema import (
     Draw,
+    Tables,
     choice,
     drawn_numbers,
     flag,
@@ -108,10 +111,9 @@ class CellNetwork:
         if self.file is not None:
             path = os.path.abspath(os.path.expanduser(self.file))
             object.__setattr__(self, "file", path)
-            digest = _digest(path)
+            digest = _digest(_text(path))
             if self.sha256 not in (None, digest):
-                problem = f"'{path}' is not the file that the scene was made with"
-                raise SceneError("file", problem, "Leave sha256 out to take it as it is now.")
+                raise _other_file(path)
             object.__setattr__(self, "sha256", digest)
 
     @property
@@ -130,9 +132,14 @@ class CellNetwork:
                 raise SceneError("network", problem, OWN_NETWORKS.hint(self.network))
             found: Any = OWN_NETWORKS[self.network]
             return found  # type: ignore[no-any-return]
+        return _read(self.document, tuple(self.inputs or ()), tuple(self.parameters or ()))
+
+    @property
+    def document(self) -> _Document:
+        """The file of a network that has one."""
         assert self.file is not None
         assert self.sha256 is not None
-        return _read(self.file, self.sha256, tuple(self.inputs or ()), tuple(self.parameters or ()))
+        return _Document(self.file, Path(self.file).suffix.lower(), self.sha256)
 
     def seconds(self) -> float:
         """Return the unit of the network's time, s."""
@@ -143,22 +150,74 @@ class CellNetwork:
         return self.model.units.get(name) or (self.units or {}).get(name, "")
 
 
+@final
+@dataclass(frozen=True)
+class _Document:
+    """A file of a network; wherever it is, it is the same with the same content."""
+
+    path: str = field(compare=False)
+    suffix: str
+    digest: str
+
+    def text(self) -> str:
+        """Return its text; raises ``SceneError`` for a file with another digest."""
+        text = _text(self.path)
+        if _digest(text) != self.digest:
+            raise _other_file(self.path)
+        return text
+
+
 @lru_cache(maxsize=32)
-def _read(file: str, _: str, inputs: tuple[str, ...], given: tuple[str, ...]) -> Network:
+def _read(document: _Document, inputs: tuple[str, ...], given: tuple[str, ...]) -> Network:
     """Return the network of a file, known by its digest."""
-    from multicell.networks.files import read_network
+    from multicell.networks.files import network_of_text
 
     try:
-        return read_network(file, inputs, given)
+        return network_of_text(document.text(), document.path, inputs, given)
     except SceneError as error:
         where = f"{error.path}: " if error.path else ""
         raise SceneError("file", f"{where}{error.problem}", error.hint) from None
 
 
-def _digest(path: str) -> str:
+def _text(path: str) -> str:
     from multicell.networks.documents import read_network_document
 
-    return hashlib.sha256(read_network_document(Path(path)).encode()).hexdigest()
+    return read_network_document(Path(path))
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _other_file(path: str) -> SceneError:
+    return SceneError("file", f"'{path}' {OTHER_FILE}", "Leave sha256 out to take it as it is now.")
+
+
+OTHER_FILE: Final = "is not the file that the scene was made with"
+COPIED_NETWORK: Final = ".network"
+"""In the name of the copy of a network's file in the folder of a run, ``NAME.network.ant``."""
+
+
+def networks_copied(scene: Scene, folder: Path) -> tuple[Scene, dict[str, bytes]]:
+    """Return a scene that names copies of its networks' files in a folder, and their content.
+
+    The copies need not be there yet.
+    """
+    parts, files = dict(scene.networks), {}
+    for name, part in scene.networks.items():
+        if part.file is None:
+            continue
+        title = f"{name}{COPIED_NETWORK}{part.document.suffix}"
+        try:
+            files[title] = part.document.text().encode()
+        except SceneError as error:
+            raise SceneError(f"networks.{name}.file", error.problem, error.hint) from None
+        parts[name] = copy.copy(part)  # not made anew: that would read the copy
+        object.__setattr__(parts[name], "file", os.path.abspath(folder / title))
+    if files:
+        scene = copy.copy(scene)
+        object.__setattr__(scene, "networks", Tables(parts))
+    return scene, files
 
 
 def place_networks(entries: dict[str, Any], source: str | Path) -> dict[str, Any]:
@@ -232,6 +291,21 @@ def check_network_signal(scene: Scene, name: str, path: str) -> None:
         raise SceneError(path, f"is {name!r}, which is no signal here", hint)
 
 
+def check_kinds_have(scene: Scene, signal: str, kinds: Collection[str], path: str) -> None:
+    """Raise ``SceneError`` where cells are to find what a network in them makes, and some lack it.
+
+    - ``kinds``: types of the cells; empty for all
+    """
+    network, dot, _ = signal.partition(".")
+    if not dot or network not in scene.networks or not scene.networks[network].types:
+        return
+    having = scene.networks[network].types
+    lacking = [kind for kind in kinds or scene.types if kind not in having]
+    if lacking:
+        problem = f"is {signal!r}, but cells of type {lacking[0]!r} have no network {network!r}"
+        raise SceneError(path, problem, f"Only these have it: cells = {', '.join(having)!r}.")
+
+
 def check_networks(scene: Scene, check_signal: Callable[[Scene, str, str], None]) -> None:
     """Raise ``SceneError`` for networks that do not fit to the scene.
 
@@ -268,6 +342,7 @@ def _check_one(
                          f"{model.time_unit:g} s", "Leave it out.")  # fmt: skip
     for name, signal in (part.inputs or {}).items():
         check_signal(scene, signal, f"inputs.{name}")
+        check_kinds_have(scene, signal, part.types, f"inputs.{name}")
         input_factor(scene, part, name)
     for name, rule in (part.divide or {}).items():
         if rule not in DIVIDE:
@@ -275,13 +350,13 @@ def _check_one(
         if rule == "binomial" and name not in model.amounts:
             problem = "is 'binomial', but it is a concentration, whose molecules are not counted"
             raise SceneError(f"divide.{name}", problem)
-    for field in part.fluxes or {}:
-        flux_factor(part, field)
-        what = flux_of(part, field)[0]
+    for target in part.fluxes or {}:
+        flux_factor(part, target)
+        what = flux_of(part, target)[0]
         for name, response in scene.responses.items():
-            if response.behaviour == f"{what} of {field}":
+            if response.behaviour == f"{what} of {target}":
                 problem = f"replaces the {what} that responses.{name} changes"
-                raise SceneError(f"fluxes.{field}", problem, "Leave one of the two out.")
+                raise SceneError(f"fluxes.{target}", problem, "Leave one of the two out.")
 
 
 def flux_of(part: CellNetwork, field: str) -> tuple[str, str]:

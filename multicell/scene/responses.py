@@ -35,7 +35,7 @@ from multicell.errors import SceneError
 from multicell.plugins.named import OWN_OBJECT
 from multicell.scene.checks import check_kinds
 from multicell.scene.dependences import followed
-from multicell.scene.networks import check_network_signal
+from multicell.scene.networks import check_kinds_have, check_network_signal
 from multicell.scene.oxygen import concentration
 from multicell.scene.parts import loaded_in
 from multicell.scene.reactions import group_of
@@ -299,6 +299,9 @@ def check_responses(scene: Scene) -> None:
         except SceneError as error:
             raise SceneError(f"{path}.{error.path}", error.problem, error.hint) from None
     object.__setattr__(scene, "responses", Tables(made))
+    for name, part in made.items():
+        for signal in part.signals:
+            check_kinds_have(scene, signal, part.types, f"responses.{name}.signal")
     rules: dict[str, tuple[str, str]] = {}
     for effect in effects(scene):
         if effect.short:

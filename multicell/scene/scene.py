@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from multicell.contact.law import PairLaw
 from multicell.contact.registry import CONTACT_LAWS
 from multicell.errors import SceneError
-from multicell.host.files import DEEPEST, parse_toml, read_text
+from multicell.host.files import DEEPEST, name_beside, parse_toml, read_text
 from multicell.plugins.laws import OwnLaw
 from multicell.plugins.named import OWN_OBJECT
 from multicell.scene.bare import note_written
@@ -289,14 +289,17 @@ class Scene:
         extra
             Facts for the header, such as the versions of packages; one comment line each.
         beside
-            Folder of the file: a table of the cells at the start that is there too is named without
-            its folder.
+            Folder of the file: a table of the cells at the start, and files of networks, that are
+            there too are named without their folder.
         """
         import tomli_w
 
         entries = self.to_dict()
-        if beside is not None and self.initial.cells is not None:
-            entries["initial"]["cells"]["file"] = self.initial.cells.copied(beside)
+        if beside is not None:
+            cells = [entries["initial"]["cells"]] if self.initial.cells is not None else []
+            for table in (*cells, *entries.get("networks", {}).values()):
+                if "file" in table:
+                    table["file"] = name_beside(table["file"], beside)
 
         facts = {"units": BASE_UNITS, "seed": self.seed, **(extra or {})}
         header = [f"# {name}: {value}" for name, value in facts.items()]
@@ -335,10 +338,15 @@ def load_scene(source: str | Path) -> Scene:
         bare = _BARE.search(content)
         hint = f"A value with a unit stands in quotes: '{bare[1]}'." if bare else ""
         raise SceneError("", f"{str(source)!r} is not valid TOML: {error}", hint) from None
-    scene = Scene.from_dict(place_networks(place_table(entries, source), source))
+    scene = Scene.from_dict(place_files(entries, source))
     if not content.startswith(_WRITTEN):  # whose numbers are those of its author
         note_written(scene, entries, typed=True)
     return scene
+
+
+def place_files(entries: dict[str, Any], source: str | Path) -> dict[str, Any]:
+    """Return the entries of a scene file with the paths of the files that it names made whole."""
+    return place_networks(place_table(entries, source), source)
 
 
 def _as_changes(changes: object) -> dict[str, Any]:
@@ -459,6 +467,8 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
             node[last] = deepcopy(value)  # a later key may write into it
         except RecursionError:
             raise SceneError(key, "is nested too deeply") from None
+    if parents[:1] == ["networks"] and last == "file":
+        node.pop("sha256", None)  # that of the file before
     if key in ("initial.cells", "initial.cells.file") and value is not None:
         # the new table says how many cells there are, and where
         table = node[last] if key == "initial.cells" else {"file": node[last]}

@@ -205,11 +205,6 @@ class StartTable:
         content = self._bytes()
         return COPIES[content[:4] == PARQUET], content
 
-    def copied(self, folder: Path) -> str:
-        """Return how a file in a folder names the table: by its name alone if it is there too."""
-        place, name = os.path.split(self.file)
-        return name if place == os.path.abspath(folder) else self.file
-
     def _hold(self, given: Given) -> None:
         assert self.sha256 is not None
         object.__setattr__(self, "_given", _KNOWN.setdefault(self.sha256, given))

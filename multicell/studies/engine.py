@@ -25,6 +25,7 @@ from multicell.results.folder import (
     LOCK,
     PASSING,
     RUN_FILES,
+    copied_networks,
     file_errors,
     in_use,
     lock_folder,
@@ -473,7 +474,7 @@ def _empty(work: Task, place: Path) -> None:
         elif now.kind == "unreadable":
             raise OutputError(now.reason, exit_code=ExitCode.MACHINE)
         elif not (now.frames or now.state == "done"):
-            remove(place, (*PASSING, *RUN_FILES, NOTE))
+            remove(place, (*PASSING, *RUN_FILES, *copied_networks(place), NOTE))
 
 
 def _set_aside(place: Path) -> None:

@@ -105,6 +105,8 @@ def canonical(scene: Scene) -> dict[str, Any]:
     entries.pop("title", None)
     if "cells" in entries["initial"]:
         del entries["initial"]["cells"]["file"]  # where the table is makes no difference
+    for network in entries.get("networks", {}).values():
+        network.pop("file", None)
     _keep_order(scene, entries)
     return entries
 

@@ -287,8 +287,8 @@ def write_study(plan: Plan, folder: str | Path, *, overwrite: bool = False) -> S
             PLAN_FILE: "",
         }
         make_folder(folder, overwrite=overwrite or is_begun(folder, first))
-    if plan.scene.initial.cells is not None:
-        plan = replace(plan, scene=with_copy(plan.scene, folder))
+    if (copied := with_copy(plan.scene, folder)) is not plan.scene:
+        plan = replace(plan, scene=copied)
     write_text(folder / SCENE, scene_with_end(plan.scene, folder))
     write_text(folder / PLAN_FILE, plan.to_toml())
     return Study(plan, folder)

@@ -196,6 +196,51 @@ def test_a_cell_that_changes_its_type_begins_with_the_network():
     assert len(np.unique(known)) > 2
 
 
+def test_a_cell_that_changes_its_type_responds_from_then_on():
+    grow = {"behaviour": "growth rate", "signal": "relax.A", "cells": "b", "half": 0.5}
+    die = {"behaviour": "apoptosis rate", "signal": "relax.A", "cells": "b", "half": 0.5,
+           "largest": "0.1 1/h"}  # fmt: skip
+    become = {"behaviour": "change to b", "law": "constant", "largest": "1 1/h"}
+    changes = {**LINE, "initial.count": 20, "types": {"a": {}, "b": {"fraction": 0.0}},
+               "responses": {"grow": grow, "become": become, "die": die}}  # fmt: skip
+    simulation = _run(changes, relax={"network": relax, "cells": "b"})
+    cells = simulation.cells
+    assert (cells.kind == 1).sum() > 10
+    assert np.isfinite(cells.radius).all()
+    assert np.isfinite(cells.age).all()
+    # where nothing changes the level, a type that has it from the start does the same
+    same = {**grow, "law": "threshold", "half": 1e-3}
+    changes = {**changes, "responses": {"grow": same, "become": become}}
+    plain = _run({**changes, "responses": {"become": become}}, relax={"network": relax})
+    driven = _run(changes, relax={"network": relax, "cells": "b"})
+    np.testing.assert_array_equal(driven.cells.id, plain.cells.id)
+    np.testing.assert_allclose(driven.cells.radius, plain.cells.radius, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("changes", "path"), [
+    ({"responses.die": {"behaviour": "apoptosis rate", "signal": "relax.A", "half": 0.5,
+                        "largest": "1 1/h"}}, "responses.die.signal"),
+    ({"responses.grow": {"behaviour": "growth rate", "signal": "relax.A", "half": 0.5,
+                         "cells": "a, b"}}, "responses.grow.signal"),
+    ({"networks.other": {"network": relax, "inputs": {"source": "relax.A"}}},
+     "networks.other.inputs.source"),
+])  # fmt: skip
+def test_cells_without_a_network_respond_to_none(changes, path):
+    scene = mc.load_scene("growth").with_changes({
+        "types": {"a": {}, "b": {}}, "networks.relax": {"network": relax, "cells": "b"},
+    })  # fmt: skip
+    with pytest.raises(SceneError, match=r"cells of type 'a' have no network 'relax'") as found:
+        scene.with_changes(changes)
+    assert found.value.path == path
+    assert "cells = 'b'" in found.value.hint
+    own = next(iter(changes.values()))
+    key = next(iter(changes))
+    scene.with_changes({key: {**own, "cells": "b"}})
+    scene.with_changes({"networks.relax.cells": "a, b", key: own})
+    if key.startswith("responses"):  # all cells find what it is around them
+        scene.with_changes({key: {**own, "signal": "neighbours.relax.A"}})
+
+
 def test_a_species_drives_a_behaviour():
     kill = {"behaviour": "apoptosis rate", "signal": "relax.A", "law": "threshold", "falls": True,
             "half": 0.5, "largest": "20 1/h"}  # fmt: skip
