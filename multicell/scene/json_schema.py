@@ -195,7 +195,7 @@ _KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = 
         "type": "object", "additionalProperties": _amount(spec.unit, spec.bounds),
     },
     "texts": lambda spec, _: {"type": "object", "additionalProperties": {"type": "string"}},
-    "draws": lambda spec, _: {
+    "drawn_numbers": lambda spec, _: {
         "type": "object", "additionalProperties": {"anyOf": [_number(None), _DRAW]},
     },
     "table": _one_table,
