@@ -137,6 +137,9 @@ def test_purposes_keep_their_numbers() -> None:
         "CONDITIONING": 12, "EIGENVECTOR": 13, "VIEW": 14, "RENEWAL": 15,
         "REST": 16, "CHANGE": 17, "MUTATION": 18, "RADIATION": 19, "DRIFT": 20,
         "TOLERANCE": 21,
+        "ASYMMETRY": 22,
+        "NETWORK": 23,
+        "NETWORK_DIVISION": 24,
     }  # fmt: skip
 
 

@@ -155,7 +155,7 @@ def _draw_profile(axes: Axes, profile: LikelihoodProfile, free: Range) -> None:
         if np.isfinite(end):
             axes.axvline(end / size, color=INK, lw=0.9, ls=":")
     axes.axvline(profile.best / size, color=RED, lw=1.6)
-    axes.set_ylim(0.0, 4.0 * limit)
+    axes.set_ylim(-0.2 * limit, 4.0 * limit)  # its foot keeps clear of the labels below
     axes.set_xlim(profile.values[0] / size, profile.values[-1] / size)
     if free.log and free.high > 10.0 * free.low:
         axes.set_xscale("log")

@@ -52,9 +52,9 @@ _ELSEWHERE = {
 
 _TASKS = {
     "Run a scene": ("run", "resume", "play", "explain"),
-    "See and export a run": ("view", "plot", "movie", "export"),
+    "See and export a run": ("view", "plot", "movie", "export", "cite"),
     "Find and make scenes": ("scenes", "init", "import", "coarsen", "schema"),
-    "Run studies and use data": ("study", "sensitivity", "dose-response", "fit"),
+    "Run studies and use data": ("study", "sensitivity", "dose-response", "fit", "profile"),
     "Compare integrators": ("compare", "stability"),
     "Get help": ("doctor",),
 }

@@ -21,7 +21,7 @@ Row = dict[str, Any]  # one row of a table: column -> value
 SOLVED: str = "done"  # how a solve went
 FAILED, SKIPPED = "failed", "skipped"
 
-CLOCKS: Final = {"wall": "wall time", "cpu": "processor time"}
+CLOCKS: Final = {"wall": "wall time", "cpu": "CPU time"}
 """Column of the table that may judge -> what it is."""
 
 Pictures = dict[str, tuple[Callable[[], "Figure"], str]]

@@ -16,7 +16,15 @@ from functools import cache
 from typing import Final
 
 PACKAGE_FOLDER: Final = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-ROOMS: Final = ("compiling", "contact", "integrators", "mechanics", "networks", "nutrient")
+ROOMS: Final = (
+    "compiling",
+    "contact",
+    "integrators",
+    "mechanics",
+    "networks",
+    "nutrient",
+    "plugins",
+)
 """Folders whose files kernels are made of."""
 
 

@@ -31,7 +31,7 @@ from multicell.integrators.base import (
     count_equal_steps,
     move_words,
 )
-from multicell.mechanics.jacobian import SOFTENING
+from multicell.mechanics.rows import SOFTENING
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray

@@ -198,6 +198,8 @@ class MethodInfo:
         none.
     meant : tuple of str
         Words by which others know it, for the hint of an error.
+    source : str
+        Key of the paper that a methods section cites for it (:mod:`multicell.report.citation`).
     """
 
     name: str
@@ -217,6 +219,7 @@ class MethodInfo:
     make: Callable[..., Integrator] | None = None
     variant: Callable[[int], MethodInfo | None] | None = None
     meant: tuple[str, ...] = ()
+    source: str = ""
 
     @property
     def settings(self) -> set[str]:

@@ -22,8 +22,9 @@ from multicell.integrators.restarts import (
     Taken,
     one_step,
 )
-from multicell.mechanics.jacobian import SOFTENING, limited
+from multicell.mechanics.jacobian import limited
 from multicell.mechanics.motion import StateRejected
+from multicell.mechanics.rows import SOFTENING
 
 if TYPE_CHECKING:
     from multicell.integrators.cvode import Cvode

@@ -76,5 +76,6 @@ def _of_stages(stages: int) -> MethodInfo | None:
 Rkc2.info = MethodInfo(
     "rkc2", "explicit, stabilised: Runge-Kutta-Chebyshev of order 2 under error control",
     "tolerance", order=2, colour="#e8590c", marker="X", variant=_of_stages,
+    source="sommeijer1998",
 )  # fmt: skip
 METHODS = (Rkc2,)

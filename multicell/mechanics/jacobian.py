@@ -26,10 +26,6 @@ if TYPE_CHECKING:
 _SQUARE = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
 """Where the entries of a symmetric block stand among (xx, yy, zz, xy, xz, yz)."""
 
-SOFTENING = 0.5
-"""Newton's matrix shows no dF/dh below minus this times E_ij r_ij (JKR's slope tends to -∞ at first
-contact). It leaves the solution as it is."""
-
 
 @njit(**KERNEL)
 def limit_softening(rows, first, second, start, outer_end, fraction, along, across):

@@ -13,3 +13,7 @@ LIGAND: Final = 6  # the same
 SHORTEST: Final = 1e-300
 """Square that is added to that of a distance, µm²: coincident centres keep a finite distance, and
 their direction, and so their force, is zero."""
+
+SOFTENING: Final = 0.5
+"""Newton's matrix shows no dF/dh below minus this times E_ij r_ij (JKR's slope tends to -∞ at first
+contact). It leaves the solution as it is."""

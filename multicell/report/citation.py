@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any, Final, final
 
+from multicell.integrators.registry import METHODS
 from multicell.results.folder import package_version
 from multicell.schema import leaves
 from multicell.units import shown, time_text
@@ -19,10 +20,6 @@ if TYPE_CHECKING:
 
 _CONTACTS: Final = {
     "hertz": ("hertz1882",), "jkr": ("johnson1971", "schaller2005"), "exact-jkr": ("johnson1971",),
-}  # fmt: skip
-_METHODS: Final = {
-    "cvode": "hindmarsh2005", "cvode-adams": "hindmarsh2005", "rkc2": "sommeijer1998",
-    "rosenbrock": "shampine1997",
 }  # fmt: skip
 _NOT_OF_MODEL: Final = ("integrator", "output")
 _UNSAID: Final = ("title", "seed", "duration", "coupling_step", "output", "integrator")
@@ -111,8 +108,9 @@ def _numerics(result: Result) -> str:
     scene, summary = result.scene, result.summary_dict
     work: Mapping[str, Any] = summary.get("integrator") or {}
     method = work.get("method", scene.integrator.method)
-    taken = [name for name in _METHODS if work.get(f"steps_{name.replace('-', '_')}")]
-    keys = dict.fromkeys(_METHODS[name] for name in [method, *taken] if name in _METHODS)
+    taken = [name for name in METHODS if work.get(f"steps_{name.replace('-', '_')}")]
+    infos = [METHODS[name] for name in (method, *taken) if name in METHODS]
+    keys = dict.fromkeys(info.source for info in infos if info.source)
     cited = f" [{', '.join(keys)}]" if keys else ""
     steps = f" in {summary['steps']:,} coupling steps" if "steps" in summary else ""
     text = (

@@ -106,7 +106,7 @@ def test_a_seeded_ball_has_the_rim_of_a_grown_one():
     begin = simulation.summary()
     assert 46.0 < begin["viable_rim"] < 60.0
     assert begin["start"]["necrotic"] == begin["states"]["necrotic"]
-    assert any("are dead" in note for note in begin["notes"])
+    assert any("necrotic" in note for note in begin["notes"])
     finished(simulation)
     assert 46.0 < simulation.summary()["viable_rim"] < begin["viable_rim"] + 1.0
 

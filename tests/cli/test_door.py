@@ -208,13 +208,13 @@ def test_what_never_ends_is_no_scene(command, tmp_path):
         ("/dev/stdin", "scene"),
         (tmp_path / "pipe", "no regular file"),
         (tmp_path / "huge.toml", "larger than 10 MB"),
-        (tmp_path, "directory"),
+        (tmp_path, "is a folder, not a scene"),
         ("/dev/null/scene.toml", "ot a directory"),
         ("x" * 5000 + ".toml", "cannot be read"),
         ("a\x00b.toml", "cannot be read"),
         ("\udcff.toml", "does not exist"),
-        ("", "cannot be read"),
-        (".", "cannot be read"),
+        ("", "is a folder, not a scene"),
+        (".", "is a folder, not a scene"),
     ):
         line = one_error(call(command, source, *output))
         assert words in line, source

@@ -27,7 +27,7 @@ FAULTS = {
         LAW, "    return p.stiffness * overlap if overlap < 1e6 else overlp", "TypingError",
         "overlap",
     ),
-    "a parameter": (LAW, "    return p.stifness * overlap", "AttributeError", "stiffness"),
+    "a parameter": (LAW, "    return p.stifness * overlap", "which is not declared", "stiffness"),
     "an exception": (LAW, "    raise ValueError('not today')", "ValueError: not today", ""),
     "two results": (LAW, "    return p.stiffness * overlap, 1.0", "The force is one number", ""),
     "a method's name": (METHOD, "        return system.velocty(0.0, position)",

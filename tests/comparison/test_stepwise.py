@@ -173,7 +173,7 @@ def test_the_chosen_clock_judges(monkeypatch):
     result = compared(methods, [1.0], clock="cpu")
     assert list(result.within(0.1)) == ["other", "exact"]
     assert [(row["wall"], row["cpu"]) for row in result.table] == [(1.0, 5.0), (4.0, 2.0)]
-    assert result.figure().axes[0].get_xlabel() == "processor time (s)"
+    assert result.figure().axes[0].get_xlabel() == "CPU time (s)"
     by_wall = WorkPrecision(result.scene, result.table, result.uncertainty, result.facts)
     assert list(by_wall.within(0.1)) == ["exact", "other"]
     assert by_wall.figure().axes[0].get_xlabel() == "wall time (s)"
@@ -195,7 +195,7 @@ def test_the_command_compares_step_wise(tmp_path):
     assert done.exit_code == 0, done.output
     modes = {row["mode"] for row in json.loads(done.stdout)}
     assert modes == {"step-wise, 24 of 30 coupling steps"}
-    assert "Judged by processor time" in (out / "report.html").read_text(encoding="utf-8")
+    assert "Judged by CPU time" in (out / "report.html").read_text(encoding="utf-8")
     rows = csv.DictReader(io.StringIO((out / "conditioning.csv").read_text()))
     assert {float(row["shift_um"]) for row in rows} == {0.01}
     words = [str(scene), "--stepwise", "3", "-o", str(tmp_path / "other")]

@@ -83,7 +83,8 @@ def fields(regime, dimensions):
             "boundary": "0.06 mM", "uptake_per_volume": "0.08 mM/s",
             "half_saturation": "0.01 mM", "quiescent_uptake": 0.6,
             "growth_half_saturation": "0.02 mM", "quiescence": "0.056 mM",
-            "necrosis": "0.0545 mM", "perfusion": "1e-4 1/s", "decay": "1e-5 1/s",
+            "necrosis": "0.0545 mM", "hypoxia": "0.055 mM", "perfusion": "1e-4 1/s",
+            "decay": "1e-5 1/s",
             "uptake_on": {"glucose": {"effect": 0.5, "half": "1 mM"}},
         },
         "glucose": {
@@ -227,8 +228,14 @@ def special():
     """Yield scenes for the parts that others exclude."""
     scene = tissue(3, "without phases", "transient")
     del scene["death"]["necrosis_rate"]
-    scene["death"] |= {"damage_time": "15 min", "damage_variation": 0.5}
+    scene["death"] |= {
+        "damage_time": "15 min", "damage_variation": 0.5, "repair_rate": "2e-4 1/s",
+    }  # fmt: skip
     yield "damage", scene
+    scene = tissue(3, "without phases", "steady")
+    del scene["nutrients"]["oxygen"]["necrosis"]
+    scene["nutrients"]["oxygen"]["relative"] = {"necrosis": {"to": "quiescence", "factor": 0.97}}
+    yield "relative", scene
     growing = {name: scene[name] for name in ("duration", "coupling_step", "initial", "growth")}
     yield "stop", {**growing, "contact": {"law": "hertz"}, "stop_cells": 31}
     loose = {"contact": {"law": "hertz"}, "initial": {"count": 6, "spacing": 0.8}}

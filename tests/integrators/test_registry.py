@@ -66,6 +66,8 @@ def test_a_method_is_named_in_its_own_file_only():
     # what references are solved by, what auto weighs and a hint recommends
     allowed = {"comparison/reference.py", "integrators/auto.py", "integrators/driver.py"}
     allowed |= {"comparison/stability_limits/search.py"}
+    # networks inside cells have methods of their own
+    allowed |= {"networks/methods.py", "scene/networks.py"}
     assert {name: len(set(found) - allowed) for name, found in places.items()} == expected
 
 

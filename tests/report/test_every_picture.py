@@ -15,6 +15,7 @@ from two_cells import ladders, result_of
 import multicell as mc
 from multicell.calibration.indices import sample
 from multicell.calibration.sensitivity import sample_sensitivity as indices_of
+from multicell.calibration.sobol import SobolIndices
 from multicell.report.plots.colouring import colouring
 from multicell.report.plots.run import Plots
 from multicell.report.plots.space import View, film_picture, room
@@ -72,6 +73,23 @@ def sensitivity():
 
 
 @cache
+def sobol():
+    rows = [
+        {"observable": "diameter", "unit": "um", "parameter": name, "key": f"cells.{name}",
+         "low": 0.5, "high": 2.0, "parameter_unit": "kPa", "S1": first, "S1_conf": 0.04,
+         "ST": first + 0.1, "ST_conf": 0.05, "noise": 0.02}
+        for name, first in (("young", 0.1), ("division_radius", 0.6), ("poisson", 0.0))
+    ]  # fmt: skip
+    return SobolIndices(SCENE, (), 256, (0, 1), rows, [], {})
+
+
+@cache
+def measured():
+    table = {"Time (h)": [0.1, 0.25, 0.4], "Diameter (µm)": [45.0, 46.0, 44.0], "SD": [1.0] * 3}
+    return run("settle", **{"initial.count": 20}).compare_with(table)
+
+
+@cache
 def comparison(count, failed=True):
     names = [f"method-{k}" for k in range(count)]
     lost = [("method-0", 1e-6), ("method-1", 1e5), ("method-1", 2.0)] if failed else []
@@ -115,6 +133,10 @@ PICTURES = {
     "indices": [lambda: sensitivity().plot("diameter")],
     "data": [lambda: fit().data()],
     "parameters": [lambda: fit().parameters()],
+    "profile": [lambda: fit().profile()],
+    "deviations": [lambda: fit().deviations()],
+    "sobol_bars": [lambda: sobol().plot()],
+    "compared": [lambda: measured().plot()],
     "draw": [lambda: mc.dose_response(data=two_drugs()).plot()],
 }  # fmt: skip
 """Ways to draw by the name of the function that draws."""

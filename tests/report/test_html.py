@@ -31,7 +31,7 @@ def written(tmp_path, **changed):
     given = {
         "scene": BARE, "title": "A title", "subtitle": "a subtitle", "tiles": {"cells": "12"},
         "pictures": {}, "summary": {}, "phases": {}, "longest": 1.0, "accounts": {}, "entries": [],
-        "viewer": None, "diagnostics": {},
+        "viewer": None, "diagnostics": {}, "compared": None,
     }  # fmt: skip
     return write_page(tmp_path / "page.html", "run.html", **(given | changed)).read_text("utf-8")
 
@@ -54,7 +54,8 @@ def test_a_template_that_lacks_a_value_is_refused(tmp_path):
     with pytest.raises(UndefinedError, match="styles"):
         write_page(
             tmp_path / "page.html", "compare.html", scene=BARE, title="", subtitle="", tiles={},
-            pictures={}, judge="", verdicts={}, pale="",
+            pictures={}, judge="", verdicts={}, verdict="", pale="",
+            result={"norms": {"position": "distances"}},
         )  # fmt: skip
     assert not (tmp_path / "page.html").exists()
 

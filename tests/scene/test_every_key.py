@@ -18,8 +18,9 @@ EXPLAINED = {
 ALONE = {"dimensions": "plane"}
 """Keys that other parts tie to their values, and the scene in which they are free."""
 
-OWN = ("initial.cells.", "output.observables.", "responses.*.parameters")
-"""Keys for files and code of users: test_start_table, test_own_observable, test_responses."""
+OWN = ("initial.cells.", "networks.", "output.observables.", "responses.*.parameters")
+"""Keys for files and code of users: test_start_table, test_inside, test_own_observable,
+test_responses."""
 
 BASES = dict(bases())
 ALWAYS = ("2D, hertz", "stop", "plane")

@@ -122,8 +122,10 @@ assert took and [parts[part] for part in took] == [n for n in names if n in part
 PROCESS = """
 from types import SimpleNamespace
 assert precompile.Precompilation(scene, 1).process is None
-alone = SimpleNamespace(cells=range(1))
-two = SimpleNamespace(cells=range(2), wall={"compile": 0.0, "rest": 0.0})
+alone = SimpleNamespace(state=SimpleNamespace(cells=range(1)))
+two = SimpleNamespace(
+    state=SimpleNamespace(cells=range(2)), wall={"compile": 0.0, "rest": 0.0}
+)
 ahead = precompile.Precompilation(scene, 2)
 first = ahead.process
 ahead.watch(alone)
