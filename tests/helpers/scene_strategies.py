@@ -305,7 +305,7 @@ class Drawer:
     def _texts(self, spec, field, path):
         return dict(self.one_of(OF_A_NETWORK[path.split(".")[-1]]))
 
-    def _draws(self, spec, field, path):
+    def _drawn_numbers(self, spec, field, path):
         return {"k": self.one_of([1e-4, {"mean": 1e-4, "variation": 0.3}])}
 
     def _interval(self, spec, field, path):
