@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import pickle
 import subprocess
 import sys
@@ -10,6 +11,7 @@ import sys
 import pytest
 
 import multicell as mc
+from multicell.errors import SceneError
 from multicell.plugins.named import load_object
 from multicell.studies.runs import PlainScene
 
@@ -71,3 +73,18 @@ def test_workers_of_a_study_load_the_file_of_a_network(placed):
         [sys.executable, "-c", program], capture_output=True, text=True, cwd=placed, check=False
     )
     assert done.stdout.strip() == "('A',)", done.stderr
+
+
+def test_a_study_varies_parameters_of_a_network_that_the_scene_sets(placed):
+    bare = mc.load_scene(placed / "scene.toml")
+    key = "networks.decay.parameters.k"
+    with pytest.raises(SceneError, match=r"no 'networks\.decay\.parameters'") as refused:
+        mc.study(bare, {key: [1e-3, 2e-3]}, output=placed / "study")
+    assert f"--set {key}=" in str(refused.value)
+    scene = bare.with_changes({key: 1e-3})
+    study = mc.study(scene, {key: [1e-3, 2e-3]}, output=placed / "study")
+    study.run(cores=1)
+    results = [mc.load_result(placed / "study" / "runs" / run.name) for run in study.runs]
+    left = [result.frames[-1].inside["decay.A"][0] for result in results]
+    # the cell grows by the same factor in both, which dilutes
+    assert left[1] / left[0] == pytest.approx(math.exp(-1e-3 * 1800.0), rel=1e-3)
