@@ -90,6 +90,10 @@ _MAX_FILE_BYTES = 10_000_000
 class Scene:
     """All that a simulation starts from; a part given as a dict is converted.
 
+    Each scene has the parts ``initial``, ``cells``, ``contact``, ``drag``, ``integrator`` and
+    ``output``. Others are None where it has none: ``growth``, ``death``, ``adhesion``,
+    ``friction``, ``compression``, ``motility``, ``surface``, ``pull``, ``domain``, ``energy``.
+
     Attributes
     ----------
     title : str
@@ -99,10 +103,6 @@ class Scene:
         The same seed gives the same run.
     stop_cells : int or None
         The run ends after the coupling step in which this many cells exist.
-    initial, cells, contact, drag, integrator, output
-        The parts that each scene has.
-    growth, death, adhesion, friction, compression, motility, surface, pull, domain, energy
-        None where the scene has no such part.
     motions : mapping of name to PrescribedMotion, read-only
         What drives named cells from outside.
     types : mapping of name to CellType, read-only
