@@ -39,6 +39,7 @@ from matplotlib.figure import Figure
 
 import multicell as mc
 from multicell.report.plots.style import BLUE, INK, QUIET, RED, save_figure, styled
+from multicell.results.frame import Frame
 
 HERE = Path(__file__).parent
 PACKING = 0.76
@@ -166,7 +167,7 @@ def _at(scene: mc.Scene, oxygen: float, glucose: float, seed: int) -> mc.Scene:
     })  # fmt: skip
 
 
-def _uptake(scene: mc.Scene, frame: mc.Frame) -> Array:
+def _uptake(scene: mc.Scene, frame: Frame) -> Array:
     """Return the oxygen that each living cell takes up, amol/s."""
     o, found = scene.nutrients["oxygen"], frame.concentrations
     most = o.uptake_per_volume * o.uptake_on["glucose"].factor(found["glucose"])
@@ -174,7 +175,7 @@ def _uptake(scene: mc.Scene, frame: mc.Frame) -> Array:
     return np.asarray(frame.cells.volume * most * share)
 
 
-def _over_depth(scene: mc.Scene, frame: mc.Frame, radius: float) -> Array:
+def _over_depth(scene: mc.Scene, frame: Frame, radius: float) -> Array:
     """Return depths (um) and oxygen (mmHg) of a frame's field on shells and the medium, (2, n)."""
     field, o = frame.fields["oxygen"], scene.nutrients["oxygen"]
     r = np.append((np.arange(field.values.size) + 0.5) * field.spacing, radius + o.layer)

@@ -33,6 +33,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
 
 import multicell as mc
+from multicell.results.frame import Frame
 
 COLOURS = ("#0072b2", "#e69f00")
 
@@ -64,7 +65,7 @@ def pair() -> dict[str, np.ndarray]:
     return dict(zip(titles, both.T, strict=True)) | {"radius_um": np.tile(ball.radius, 2)}
 
 
-def aspect(frame: mc.Frame) -> float:
+def aspect(frame: Frame) -> float:
     """Return the length of all cells together over their width."""
     away = frame.cells.position - frame.cells.position.mean(axis=0)
     second, first, longest = np.linalg.eigvalsh(np.cov(away.T))

@@ -140,15 +140,15 @@ quiet_option = click.option("--quiet", is_flag=True, help="Print nothing but err
 law_option = click.option(
     "--law",
     metavar="FILE:NAME",
-    help="Contact or growth law of your own, as mine.py:Cubic; its parameters follow as "
-    "--set contact.KEY= or --set growth.parameters.KEY=.",
+    help="Law or network of your own, as mine.py:Cubic; parameters of a contact or growth law "
+    "follow as --set contact.KEY= or --set growth.parameters.KEY=.",
 )
 loaded_law_option = click.option(
     "--law",
     metavar="FILE:NAME",
     expose_value=False,
     callback=lambda _, __, spec: spec and name_law(spec),
-    help="Contact or growth law of your own that the run was made with, as mine.py:Cubic.",
+    help="Law or network of your own that the run was made with, as mine.py:Cubic.",
 )
 section_option = click.option(
     "--section", "plane", metavar="PLANE", help="The plane that is cut: x, y, z, x=0 or z='12 um'."
@@ -298,11 +298,15 @@ def of_scene(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def name_law(spec: str) -> dict[str, str]:
-    """Load a law of the user's own; return the key that takes it and the name in scenes."""
+    """Load a law or network of the user's own; return the key that takes it, and its name there."""
     from multicell.behaviours.growth_laws.laws import GrowthLaw
     from multicell.behaviours.laws import ResponseLaw
+    from multicell.networks.network import Network
+    from multicell.plugins.named import load_object
     from multicell.plugins.user_laws import load_law
 
+    if isinstance(load_object(spec, "law"), Network):
+        return {}  # networks of the scene name it
     law = load_law(spec)
     if issubclass(law, ResponseLaw):
         return {}  # responses of the scene name it

@@ -66,10 +66,10 @@ def load_object(spec: str, what: str) -> Any:
     return found
 
 
-def origin(kind: type[Any]) -> str:
-    """Return where a class comes from, as ``/path/to/file.py:Name``.
+def origin(kind: type[Any] | Callable[..., Any]) -> str:
+    """Return where a class or function comes from, as ``/path/to/file.py:Name``.
 
-    A class that was typed in at a prompt comes from ``__main__:Name``.
+    One that was typed in at a prompt comes from ``__main__:Name``.
     """
     module = sys.modules.get(kind.__module__)
     file = getattr(module, "__file__", None)

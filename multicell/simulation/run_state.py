@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from multicell.cells import Cells
+from multicell.cells import Cells, State
 from multicell.integrators.shift import Replays
 from multicell.integrators.stability import Stability
 from multicell.results.frame import Frame, Progress
@@ -159,14 +159,17 @@ class RunState:
         found = self.fields.concentrations
         return Frame(time, step, self.cells, found, contacts=self.contacts)
 
-    def with_cells(self, cells: Cells) -> RunState:
+    def with_cells(self, cells: Cells, kinds: int) -> RunState:
         """Return the state with cells as a user has left them, in arrays of its own.
 
-        Some may be missing, which counts as removal, and their order may be another one.
+        Some may be missing, which counts as removal, and their order may be another one. There are
+        ``kinds`` types of cells.
 
-        Raises ValueError where a column does not fit, or for cells that are not of the run.
+        Raises ValueError where a column does not fit or holds what no cell can have, or for cells
+        that are not of the run.
         """
         after = Cells(**dict(cells.columns())).copy()
+        _refuse_impossible(after, kinds)
         if np.array_equal(after.id, self.cells.id):
             return replace(self, cells=after, growth=None)
         rows = self.cells.rows_of(after.id)
@@ -185,6 +188,22 @@ class RunState:
             removals=self.removals + gone,
             growth=None,
         )
+
+
+def _refuse_impossible(cells: Cells, kinds: int) -> None:
+    """Raise ValueError for values that no cell can have: compiled code would not notice them."""
+    wanted = {
+        "position": (np.isfinite(cells.position).all(axis=1), "finite"),
+        "radius": (np.isfinite(cells.radius) & (cells.radius > 0.0), "finite and above 0"),
+        "young": (np.isfinite(cells.young) & (cells.young > 0.0), "finite and above 0"),
+        "state": (np.isin(cells.state, list(State)), f"one of {', '.join(map(str, State))}"),
+        "kind": ((cells.kind >= 0) & (cells.kind < kinds), f"from 0 to {kinds - 1}"),
+    }
+    for name, (fits, words) in wanted.items():
+        if not fits.all():
+            row = int(np.argmin(fits))
+            found = getattr(cells, name)[row]
+            raise ValueError(f"cells.{name}[{row}] is {found}, must be {words}")
 
 
 _PROGRESS: Final = tuple(

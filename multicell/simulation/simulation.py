@@ -108,7 +108,7 @@ class Simulation:
         """The state of the run, a value: to assign an earlier one is to return to it."""
         draft, state = self._draft, self._state
         if draft is not None and not draft.equals(state.cells):
-            self._state = state = state.with_cells(draft)
+            self._state = state = state.with_cells(draft, max(len(self.scene.types), 1))
             self._run.load(state)
         return state
 

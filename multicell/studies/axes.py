@@ -31,7 +31,15 @@ _SPACED: Final = re.compile(rf"(log\s+)?({_NUMBER}):({_NUMBER}):(\d+)\s*(.*)")
 _RANGE: Final = re.compile(rf"(log\s+)?({_NUMBER}):({_NUMBER})\s*(.*)")
 _FIRST: Final = ("contact.law",)
 """Keys that are set before others: those that decide which others there are."""
-_RANGES: Final = ("quantity", "number", "count", "measure", "quantities", "course")
+_RANGES: Final = (
+    "quantity",
+    "number",
+    "count",
+    "measure",
+    "quantities",
+    "course",
+    "drawn_numbers",
+)
 
 
 @final

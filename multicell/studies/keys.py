@@ -17,9 +17,11 @@ from multicell.integrators.registry import METHODS
 from multicell.scene.oxygen import in_concentrations
 from multicell.scene.responses import Response, in_base_units, response_unit
 from multicell.scene.scene import Scene, check_dotted
-from multicell.schema import Parameter, chosen, near_miss, specs
+from multicell.schema import Draw, Parameter, chosen, near_miss, specs
 
 _TABLES: Final = ("table", "variant", "tables")
+_NUMBERS: Final = ("quantities", "drawn_numbers")
+"""Kinds of tables of names to numbers, each of which is a value of its own."""
 _NO_AXES: Final = {
     "seed": "belongs to every run: give the number of seeds",
     "title": "changes nothing in a run",
@@ -57,10 +59,10 @@ class Key:
         if self.spec.kind == "variant":
             return self._word(value)
         given = in_concentrations(value, tuple(self.name.split(".")), self.scene.nutrients)
-        if self.spec.kind == "quantities":
+        if self.spec.kind in _NUMBERS:
             last = self.name.rpartition(".")[2]
             table = self.spec.convert({last: given}, self.name.rpartition(".")[0])
-            return table[last]
+            return self.spec.plain(table)[last]
         return self.spec.plain(self.spec.convert(given, self.name))
 
     def _word(self, value: Any) -> str:
@@ -103,10 +105,11 @@ def _keys_of(scene: Scene, part: Any, path: str, absent: list[str]) -> Iterator[
                 yield from _keys_of(scene, inner, f"{where}.{entry}.", absent)
         elif is_dataclass(value):
             yield from _keys_of(scene, value, f"{where}.", absent)
-        elif spec.kind == "quantities" and value:
-            for entry in value:
-                yield Key(f"{where}.{entry}", spec, spec.unit, None, scene)
-        elif spec.kind in (*_TABLES, "quantities"):
+        elif spec.kind in _NUMBERS and value:
+            for entry, number in value.items():
+                if not isinstance(number, Draw):  # each cell has another one
+                    yield Key(f"{where}.{entry}", spec, spec.unit, None, scene)
+        elif spec.kind in (*_TABLES, *_NUMBERS):
             absent.append(where)
         elif where not in _NO_AXES:
             unit = _unit_of_measure(scene, part, name) if spec.kind == "measure" else spec.unit

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, is_dataclass
 from typing import Any, Final, final
 
 from multicell.plugins.laws import OwnLaw
-from multicell.plugins.named import origin
+from multicell.plugins.named import load_object, origin
 from multicell.results.observable import OWN_OBSERVABLES, find_own
 from multicell.scene.scene import Scene
 from multicell.schema import Tables, specs
@@ -54,11 +54,13 @@ class PlainScene:
     - ``values``: as a table in base units
     - ``laws``: ``/path/file.py:Name`` of each law of the user's own
     - ``observables``: the same by function of each observable of the user's own
+    - ``networks``: the same by name of each network of the user's own
     """
 
     values: Mapping[str, Any]
     laws: tuple[str, ...] = ()
     observables: Mapping[str, str] = field(default_factory=dict)
+    networks: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, scene: Scene) -> PlainScene:
@@ -69,10 +71,15 @@ class PlainScene:
         own = scene.output.observables.items()
         observables = {stated.function: find_own(name, stated).source for name, stated in own}
         sources = tuple(origin(law) for law in laws if issubclass(law, OwnLaw))
-        return cls(scene.to_dict(), sources, observables)
+        networks = {
+            part.network: origin(part.model.rates)
+            for part in scene.networks.values()
+            if part.network is not None
+        }
+        return cls(scene.to_dict(), sources, observables, networks)
 
     def load(self) -> Scene:
-        """Return the scene; laws and observables of the user's own are loaded first."""
+        """Return the scene; what is the user's own is loaded first."""
         for law in self.laws:
             from multicell.plugins.user_laws import load_law
 
@@ -82,6 +89,11 @@ class PlainScene:
                 from multicell.results.own_observable import load_observable
 
                 load_observable(source)
+        for network, source in self.networks.items():
+            from multicell.networks.custom import OWN_NETWORKS
+
+            if network not in OWN_NETWORKS:
+                load_object(source, "networks")
         return Scene.from_dict(self.values)
 
 

@@ -452,3 +452,19 @@ def test_growth_is_that_of_its_state():
     simulation = at(9)
     expected = growth_factor(simulation.plan, simulation.signals, state.cells.pressure, state.cells)
     np.testing.assert_array_equal(state.growth, expected)
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [("radius", -4.0), ("radius", np.nan), ("position", np.inf), ("young", 0.0),
+     ("state", 77), ("kind", 1), ("kind", -1)],
+)  # fmt: skip
+def test_a_value_that_no_cell_can_have_is_refused(column, value):
+    simulation = mc.Simulation(mc.load_scene("growth").with_changes({"duration": "1 h"}))
+    before = simulation.state
+    getattr(simulation.cells, column)[0] = value
+    with pytest.raises(ValueError, match=rf"cells\.{column}\[0\] is .* must be"):
+        simulation.step()
+    simulation.state = before
+    simulation.step()
+    assert simulation.time == before.timeline.time + simulation.scene.coupling_step
