@@ -239,8 +239,7 @@ def _kinds_at_birth(
 ) -> IntArray:
     """Return the types of daughters that are of their mothers'.
 
-    Identities are given in pairs, so that a second daughter's differs from a ``first`` one's by an
-    odd number. Chances that add up to more than one leave none of the mother's type.
+    Chances that add up to more than one leave none of the mother's type.
     """
     kinds = daughters.kind.astype(np.int64)
     of_each, of_one = chances
@@ -249,9 +248,18 @@ def _kinds_at_birth(
         kinds = _drawn(u, of_each, kinds)
     if of_one is not None:  # one draw of the mother: it is the second daughter or none
         u = random.uniform(plan.seed, Purpose.ASYMMETRY, 0, daughters.parent)
-        second = ((daughters.id - first) % 2 == 1)[:, None]
+        second = are_second(daughters.id, first)[:, None]
         kinds = _drawn(u, np.where(second, of_one, 0.0), kinds)
     return kinds
+
+
+def are_second(ids: IntArray, first: int) -> Mask:
+    """Return which daughters are the second of their mothers, (n,), also where a sister is gone.
+
+    Identities are given in pairs: a second daughter's differs from that of any ``first`` one, or
+    from the first that is free, by an odd number.
+    """
+    return np.asarray((ids - first) % 2 == 1)
 
 
 def _drawn(u: FloatArray, chances: FloatArray, kinds: IntArray) -> IntArray:

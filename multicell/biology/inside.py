@@ -24,6 +24,7 @@ import numpy as np
 
 from multicell import random
 from multicell.behaviours.catalogue import OF_NEIGHBOURS, SUM_OF
+from multicell.biology.division import are_second
 from multicell.cells import HALF, Cells, FloatArray, IntArray, Mask, Signals
 from multicell.errors import StepFailed
 from multicell.random import Purpose
@@ -356,7 +357,7 @@ class Networks:
 
     def advance(
         self, cells: Cells, began: Cells, find: FindSignals | None, begin: float, end: float,
-        held: Collection[str] = (), threads: int = 1,
+        held: Collection[str] = (), threads: int = 1, *, next_id: int,
     ) -> None:  # fmt: skip
         """Bring the networks of cells through a step from ``begin`` to ``end`` (s).
 
@@ -364,10 +365,11 @@ class Networks:
         - ``began``: at its beginning
         - ``find``: returns what cells find at its end; None: inputs are extrapolated
         - ``held``: signals that jump at the end, before which they were as at the beginning
+        - ``next_id``: first identity that is free
         """
         assert cells.inside is not None
         first = cells.inside
-        step = _Step(cells, began, begin, end)
+        step = _Step(cells, began, begin, end, next_id)
         for _ in range(1 + (self._twice and find is not None)):
             known = cells.inside
             for part in self.parts.values():
@@ -485,7 +487,7 @@ class _Step:
     - ``growth``: by how much ln(volume) has risen in it, that of the mother before included
     """
 
-    def __init__(self, cells: Cells, began: Cells, begin: float, end: float) -> None:
+    def __init__(self, cells: Cells, began: Cells, begin: float, end: float, next_id: int) -> None:
         self.cells, self.begin, self.end = cells, begin, end
         row = began.rows_of(cells.id)
         self.born = row < 0
@@ -494,11 +496,7 @@ class _Step:
         self.since = np.where(self.born, 1.0 - np.minimum(cells.age / (end - begin), 1.0), 0.0)
         was = began.radius[row] * np.where(self.born, HALF, 1.0)
         self.growth = 3.0 * np.log(cells.radius / was)
-        self.second = np.zeros(len(cells), dtype=bool)
-        newborn = np.flatnonzero(self.born)
-        if newborn.size:
-            newborn = newborn[np.lexsort((cells.id[newborn], cells.parent[newborn]))]
-            self.second[newborn[1:]] = cells.parent[newborn][1:] == cells.parent[newborn][:-1]
+        self.second = self.born & are_second(cells.id, next_id)
 
 
 def _arrays(inside: Inside) -> tuple[FloatArray, FloatArray, FloatArray]:

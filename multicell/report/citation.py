@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.integrators.registry import METHODS
@@ -78,7 +79,8 @@ def _values(scene: Scene) -> str:
     plain = dict(_flat(Scene.from_dict({"duration": scene.duration}).to_dict()))
     units = {".".join(path): spec.units for path, _, spec in leaves(scene)}
     said = [
-        f"{key} = {_word(value)} {units.get(key) or ''}".rstrip()
+        f"{key} = {_word(Path(value).name if key.endswith('.file') else value)} "
+        f"{units.get(key) or ''}".rstrip()
         for key, value in _flat(scene.to_dict())
         if plain.get(key) != value and key.partition(".")[0] not in _UNSAID
     ]

@@ -270,7 +270,9 @@ def _attempt(
         # the fields need what networks do at the end of the step
         predicted = cells.shared()
         ahead = networks.shares_ahead(predicted, end - begin)
-        networks.advance(predicted, state.cells, None, begin, end, held, threads)
+        networks.advance(
+            predicted, state.cells, None, begin, end, held, threads, next_id=people.next_id
+        )
         lap("biology")
     fields.advance(
         predicted, begin, end, before=state.cells, follow=followed, until=until, ahead=ahead
@@ -279,7 +281,9 @@ def _attempt(
     if networks is not None:
         cells = cells.shared()
         find = partial(run.signals, contacts=people.contacts, time=end)
-        networks.advance(cells, state.cells, find, begin, end, held, threads)
+        networks.advance(
+            cells, state.cells, find, begin, end, held, threads, next_id=people.next_id
+        )
         if exchanges:
             networks.note_shares(cells, fields.shares(cells), end - begin)
             correction = networks.correction(predicted, cells)

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 import multicell as mc
-from multicell.biology.division import divide
+from multicell.biology.division import are_second, divide
 from multicell.biology.initial import initial_cells
 from multicell.biology.plan import biology_plan
 
@@ -133,6 +133,15 @@ def test_with_phases_and_after_a_resume():
         again.step()
     for name, column in dict(run.cells.columns()).items():
         np.testing.assert_array_equal(column, dict(again.cells.columns())[name], err_msg=name)
+
+
+def test_a_daughter_is_the_second_also_where_her_sister_is_gone():
+    """By the first identity that is free, before or after the divisions."""
+    ids = np.arange(7, 15)
+    np.testing.assert_array_equal(are_second(ids, 7), [False, True] * 4)
+    np.testing.assert_array_equal(are_second(ids, 15), [False, True] * 4)
+    assert are_second(ids[1::2], 15).all()
+    assert not are_second(ids[::2], 15).any()
 
 
 def test_it_needs_growth_and_a_type():
