@@ -82,7 +82,8 @@ def _ki67_positive(state: TissueState) -> float:
 def _inside(share: float | None, state: TissueState, name: str) -> float:
     """Return a quantile of a state of a network over living cells, or its mean."""
     cells, place = state.cells, network_states(state.scene)[name]
-    assert cells.inside is not None
+    if cells.inside is None:
+        return float("nan")
     values = cells.inside[~cells.dead, place]
     values = values[~np.isnan(values)]
     if share is None or not len(values):

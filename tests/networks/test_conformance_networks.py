@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from network_models import BRUSSELATOR, DECAY, ROBERTSON
 
 import multicell as mc
 from multicell.networks.conformance import fastest_rate
 from multicell.report.explain.scene import explain
-from tests.networks.models import BRUSSELATOR, DECAY, ROBERTSON
 
 
 def test_good_networks_pass():

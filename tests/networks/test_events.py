@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from network_models import CLOCK, network, rows
 
 from multicell.networks.network import Event
 from multicell.networks.solver import NetworkFailed, NetworkSolver
-from tests.networks.models import CLOCK, network, rows
 
 
 def _run(model, end, steps=1, **options):

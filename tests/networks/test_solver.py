@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from network_models import BRUSSELATOR, DECAY, FORCED, ROBERTSON, network, rows
 from scipy.integrate import solve_ivp
 
 from multicell.networks.loop import EVIDENCE, IMPLICITLY
 from multicell.networks.methods import METHODS, method_of
 from multicell.networks.solver import NetworkFailed, NetworkSolver
-from tests.networks.models import BRUSSELATOR, DECAY, FORCED, ROBERTSON, network, rows
 
 ADAPTIVE = [name for name, method in METHODS.items() if not method.fixed]
 ORDERS = {"rodas3": 3, "rodas4": 4, "dormand-prince": 5, "rk4": 4, "euler": 1}

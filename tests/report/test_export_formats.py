@@ -173,7 +173,8 @@ def test_a_frame_by_itself(run):
     assert blocks.keys() == ["cells", *frame.fields]
     assert blocks["cells"].n_points == len(frame.cells)
     arrays = frame.to_xarray()
-    assert set(Cells.schema()) - set(HAZARDS) < set(arrays)  # no rate has acted on these cells
+    # no rate has acted on these cells, and they have no network
+    assert set(Cells.schema()) - {*HAZARDS, "inside"} < set(arrays)
 
 
 def test_formats_that_cannot_be_written(run, tmp_path, monkeypatch):

@@ -85,8 +85,19 @@ FULL = {**FEW, "growth": {"phases": PHASES, "critical_pressure": 0.1, "ki67_deca
 BOX = {**FEW, "domain": {axis: [-60.0, 60.0] for axis in "xyz"}}
 GEL = {**FEW, "domain": {"shape": "sphere", "radius": "60 um", "stiffness": "10 kPa"}}
 PULLED = {**FEW, "initial": {"count": 2, "spacing": 0.95}, "pull": {"force": 1.0, "rate": 0.01}}
-SCENES = {"volume_fraction": BOX, "wall_pressure": BOX, "tissue_pressure": BOX,
-          "domain_radius": GEL, "pull": PULLED}  # fmt: skip
+
+
+@mc.network(states={"A": 1.0})
+def still(t, y, u, p, out):
+    """A state that nothing changes."""
+    out[0] = 0.0
+
+
+NETWORKED = {**FEW, "networks": {"still": {"network": still}}}
+SCENES = {
+    **{f"network_{x}_*": NETWORKED for x in ("mean", "low", "high")}, "volume_fraction": BOX,
+    "wall_pressure": BOX, "tissue_pressure": BOX, "domain_radius": GEL, "pull": PULLED,
+}  # fmt: skip
 
 
 def scene_of(name, dimensions):
@@ -116,13 +127,19 @@ def expected(name, case, key):
         "domain_radius": 60.0, "pressure_factor": 0.5 if living else NAN,
         "ki67_positive": 1.0 if living else NAN, "contacts": max(n - 1, 0),
         "heterotypic_fraction": 1.0 if n > 1 else NAN,
+        "network_mean_*": alive.mean() if living else NAN,
+        "network_low_*": np.quantile(alive, 0.05) if living else NAN,
+        "network_high_*": np.quantile(alive, 0.95) if living else NAN,
         "living_*": int((alive % 2 == (key == "stiff")).sum()), "pull": 1.0,
     }  # fmt: skip
     return known[name]
 
 
 def frame_of(case):
-    """Return the state: the living cycle, every third cell is doomed, types take turns."""
+    """Return the state: the living cycle, every third cell is doomed, types take turns.
+
+    Networks hold the number of the cell.
+    """
     n = len(case.position)
     cells = Cells.empty()
     if n:
@@ -131,6 +148,7 @@ def frame_of(case):
         cells.phase = np.full(n, Phase.S, np.int8)
         cells.doomed = (np.arange(n) % 3 == 0).astype(np.int8)
         cells.kind = (np.arange(n) % 2).astype(np.int16)
+        cells.inside = np.repeat(np.arange(n, dtype=float)[:, None], 9, axis=1)
     chain = np.column_stack([np.arange(n), np.arange(n) + 1])[: max(n - 1, 0)]
     found = {"oxygen": np.where(case.marked, LOW, HIGH)}
     return Frame(0.0, 0, cells, found, contacts=chain)

@@ -248,12 +248,22 @@ PHASED = {**FEW,
           "growth": {"phases": {"G1": {"duration": "9 h"}, "S": {"duration": "8 h"},
                                 "G2": {"duration": "4 h"}, "M": {"duration": "1 h"}}}}  # fmt: skip
 GEL = {**FEW, "domain": {"shape": "sphere", "radius": "60 um", "stiffness": "10 kPa"}}
+
+
+@mc.network(states={"A": 1.0}, parameters={"k": 1e-4})
+def grown(t, y, u, p, out):
+    """A state that rises."""
+    out[0] = p[0] * y[0]
+
+
 FURTHER = {
     **dict.fromkeys(("necrotic_ratio", "inhibited_radius", "inhibited_ratio"), PHASED),
     **dict.fromkeys(("volume_fraction", "wall_pressure", "tissue_pressure"), WALLED),
     "domain_radius": GEL,
     "ki67_positive": {**PHASED, "growth": {**PHASED["growth"], "ki67_decay": "1 h"}},
     "pull": PULLED, "clonogens": HIT, "doomed": HIT,
+    **{f"network_{x}_*": {**FEW, "networks": {"grown": {"network": grown}}}
+       for x in ("mean", "low", "high")},
 }  # fmt: skip
 
 
