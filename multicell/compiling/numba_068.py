@@ -155,8 +155,15 @@ _plain_data = caching.IndexDataCacheFile._load_data
 
 
 def _data_of(cache: Any, name: str) -> Any:
-    """Return a compiled function from disk, with the same care; None to compile it anew."""
-    return _plain_data(cache, name) if is_own(cache._data_path(name)) else None  # type: ignore[no-untyped-call]
+    """Return a compiled function from disk, with the same care; None to compile it anew.
+
+    What a function of the user's reads is found by its module, which may have been none (code that
+    was executed as text) or may be gone.
+    """
+    try:
+        return _plain_data(cache, name) if is_own(cache._data_path(name)) else None  # type: ignore[no-untyped-call]
+    except ModuleNotFoundError:
+        return None
 
 
 def is_on_disk(dispatcher: Any) -> bool:

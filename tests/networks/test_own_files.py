@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import pickle
 import subprocess
 import sys
@@ -88,3 +89,15 @@ def test_a_study_varies_parameters_of_a_network_that_the_scene_sets(placed):
     left = [result.frames[-1].inside["decay.A"][0] for result in results]
     # the cell grows by the same factor in both, which dilutes
     assert left[1] / left[0] == pytest.approx(math.exp(-1e-3 * 1800.0), rel=1e-3)
+
+
+def test_code_that_was_executed_as_text_is_compiled_anew(tmp_path):
+    """It has no module in which a later process finds what it reads."""
+    code = f"names = {{'__name__': 'gone'}}\nexec({OWN!r}, names)\nimport multicell as mc\n"
+    code += "mc.testing.check_network(names['decay'])\n"
+    places = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    for _ in range(2):
+        command = [sys.executable, "-c", code]
+        done = subprocess.run(command, env=places, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+    assert list(tmp_path.rglob("*.nbc"))
