@@ -38,7 +38,10 @@ def philox_blocks(counter, key_0, key_1, out):
         k0, k1 = key_0, key_1
         for _ in range(_ROUNDS):
             x0, x1, x2, x3 = (
-                _high(_SECOND, x2) ^ x1 ^ k0, _SECOND * x2, _high(_FIRST, x0) ^ x3 ^ k1, _FIRST * x0
-            )  # fmt: skip
+                _high(_SECOND, x2) ^ x1 ^ k0,
+                _SECOND * x2,
+                _high(_FIRST, x0) ^ x3 ^ k1,
+                _FIRST * x0,
+            )
             k0, k1 = k0 + _WEYL_0, k1 + _WEYL_1
         out[0, k], out[1, k], out[2, k], out[3, k] = x0, x1, x2, x3

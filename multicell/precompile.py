@@ -116,8 +116,11 @@ def _start(scene: Scene, taken: str) -> subprocess.Popen[bytes]:
     nowhere = subprocess.DEVNULL
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "multicell.precompile"],
-        stdin=subprocess.PIPE, stdout=nowhere, stderr=nowhere, env=environment,
-    )  # fmt: skip
+        stdin=subprocess.PIPE,
+        stdout=nowhere,
+        stderr=nowhere,
+        env=environment,
+    )
     assert process.stdin is not None
     with suppress(OSError), process.stdin as pipe:
         pickle.dump((scene.to_dict(), taken), pipe)
@@ -137,10 +140,15 @@ def two_cells(scene: Scene) -> tuple[Mechanics, FloatArray]:
     cells.position[:, 0] += 1.9 * cells.radius * np.array([-0.5, 0.5])
     system = start.mechanics(scene, 1)
     motion = motion_of(
-        biology_plan(scene), cells, cells.radius, 0.0, scene.coupling_step, signals={},
+        biology_plan(scene),
+        cells,
+        cells.radius,
+        0.0,
+        scene.coupling_step,
+        signals={},
         gradients=dict.fromkeys(followed(scene), np.zeros((2, 3))),
         contacts=np.empty((0, 2), dtype=np.int64),
-    )  # fmt: skip
+    )
     system.begin(motion)
     return system, cells.position
 
@@ -178,13 +186,22 @@ def parts(system: Mechanics, position: FloatArray, method: AdaptiveAdams) -> dic
             (forces.pack, True, source.cells, placed, 0.0, rows),
             (forces.half_virials, None, rows, pairs, source.law, 0.0, source.reach),
         ],
-        "loop": [(
-            adaptive_adams, report, source, pairs, position, 1.0, source.reach, source.counts,
-            *settings,
-        )],
+        "loop": [
+            (
+                adaptive_adams,
+                report,
+                source,
+                pairs,
+                position,
+                1.0,
+                source.reach,
+                source.counts,
+                *settings,
+            )
+        ],
         "evaluation": [used["evaluation_at"]],
         "passes": [used["foresee_at"], used["assess_at"]],
-    }  # fmt: skip
+    }
 
 
 def take_step(scene: Scene, takes: Callable[[str], bool] = bool) -> None:

@@ -147,9 +147,14 @@ def run(
     if not isinstance(scene, Scene):
         raise SceneError("", f"the scene is {shown(scene)}, must be a Scene, a name or a path")
     options = RunOptions(
-        output=output, integrator=integrator, overwrite=overwrite, threads=threads,
-        progress=progress, reactions=reactions, live=report,
-    )  # fmt: skip
+        output=output,
+        integrator=integrator,
+        overwrite=overwrite,
+        threads=threads,
+        progress=progress,
+        reactions=reactions,
+        live=report,
+    )
     return finish_run(record_run(scene, options, cells), report)
 
 
@@ -467,9 +472,14 @@ def resume(
         As for :func:`multicell.run`.
     """
     options = RunOptions(
-        output=output, integrator=integrator, overwrite=overwrite, threads=threads,
-        progress=progress, reactions=reactions, live=report,
-    )  # fmt: skip
+        output=output,
+        integrator=integrator,
+        overwrite=overwrite,
+        threads=threads,
+        progress=progress,
+        reactions=reactions,
+        live=report,
+    )
     return finish_run(record_resumed(folder, options, frame, changes=changes), report)
 
 

@@ -595,9 +595,11 @@ def _check_slopes(law: PairLaw) -> None:
 
 def _check_reach(law: PairLaw) -> None:
     grid = np.array(
-        [[[float(law.reach(e, r, rest=4.0 * r * s)) for s in (1.0, 2.0)] for r in _SIZES]
-         for e in _MODULI]
-    )  # fmt: skip
+        [
+            [[float(law.reach(e, r, rest=4.0 * r * s)) for s in (1.0, 2.0)] for r in _SIZES]
+            for e in _MODULI
+        ]
+    )
     _require((grid >= 0.0).all(), "its reach is below zero")
     _require((np.diff(grid, axis=0) <= 0.0).all(), "its reach rises with the modulus")
     _require((np.diff(grid, axis=1) >= 0.0).all(), "its reach falls with the radius")

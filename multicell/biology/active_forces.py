@@ -84,9 +84,12 @@ def _renewed(plan: BiologyPlan, ids: IntArray, time: float) -> FloatArray:
         for number in np.unique(last[found]):
             now = left[found & (last == number)]
             out[now] = random.directions(
-                plan.seed, Purpose.MOTILITY, (window + _EARLIER) * _MOMENTS + int(number), ids[now],
+                plan.seed,
+                Purpose.MOTILITY,
+                (window + _EARLIER) * _MOMENTS + int(number),
+                ids[now],
                 plan.dimensions,
-            )  # fmt: skip
+            )
         left, window, before = left[~found], window - 1, 1.0
     return out
 

@@ -81,9 +81,12 @@ def advance_cycle(
     - ``pace``, (n, 5) or None: factor of each phase's clock, from :func:`phase_pace`
     """
     now = Cycling(
-        cells.volume, cells.state.copy(), cells.phase.copy(), cells.progress.copy(),
+        cells.volume,
+        cells.state.copy(),
+        cells.phase.copy(),
+        cells.progress.copy(),
         cells.phase_length.copy(),
-    )  # fmt: skip
+    )
     left = np.where((cells.state == State.PROLIFERATING) & (cells.phase != Phase.G0), dt, 0.0)
     grows = plan.grows
     if not grows[Phase.G1]:

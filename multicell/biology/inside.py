@@ -103,10 +103,13 @@ class PlacedNetwork:
 
         part = self.part
         return NetworkSolver(
-            self.model, method=part.method, relative=part.tolerance,
-            absolute=part.absolute_tolerance, threads=threads,
+            self.model,
+            method=part.method,
+            relative=part.tolerance,
+            absolute=part.absolute_tolerance,
+            threads=threads,
             length=0.0 if part.step is None else part.step / self.seconds,
-        )  # fmt: skip
+        )
 
     @cached_property
     def solver(self) -> NetworkSolver:
@@ -356,9 +359,17 @@ class Networks:
         return worst
 
     def advance(
-        self, cells: Cells, began: Cells, find: FindSignals | None, begin: float, end: float,
-        held: Collection[str] = (), threads: int = 1, *, next_id: int,
-    ) -> None:  # fmt: skip
+        self,
+        cells: Cells,
+        began: Cells,
+        find: FindSignals | None,
+        begin: float,
+        end: float,
+        held: Collection[str] = (),
+        threads: int = 1,
+        *,
+        next_id: int,
+    ) -> None:
         """Bring the networks of cells through a step from ``begin`` to ``end`` (s).
 
         - ``cells``: at its end; ``inside`` is that of its beginning, or of their mothers
@@ -386,9 +397,15 @@ class Networks:
                 cells.inside = known
 
     def _advance(
-        self, part: PlacedNetwork, step: _Step, first: FloatArray, out: FloatArray, u: FloatArray,
-        held: Collection[str], threads: int,
-    ) -> None:  # fmt: skip
+        self,
+        part: PlacedNetwork,
+        step: _Step,
+        first: FloatArray,
+        out: FloatArray,
+        u: FloatArray,
+        held: Collection[str],
+        threads: int,
+    ) -> None:
         """Write what becomes of one network in all cells."""
         from multicell.networks.solver import NetworkFailed
 
@@ -419,20 +436,31 @@ class Networks:
             if born.any():
                 since = step.since[rows]
                 newborn = np.flatnonzero(born)
-                middle = _middle(step.mother[rows][newborn], before[newborn], after[newborn],
-                                 since[newborn])  # fmt: skip
+                middle = _middle(
+                    step.mother[rows][newborn], before[newborn], after[newborn], since[newborn]
+                )
                 half = solver.advance(
-                    _some(inside, newborn), before[newborn], middle, start,
-                    length * since[newborn], growth=growth[newborn], diluted=part.diluted,
-                )  # fmt: skip
+                    _some(inside, newborn),
+                    before[newborn],
+                    middle,
+                    start,
+                    length * since[newborn],
+                    growth=growth[newborn],
+                    diluted=part.diluted,
+                )
                 half = self._inherited(part, half, step, rows[newborn])
                 for whole, piece in zip(_arrays(inside), _arrays(half), strict=True):
                     whole[newborn] = piece
                 before[newborn] = middle
                 inside = solver.advance(
-                    inside, before, after, start + length * np.where(born, since, 0.0),
-                    length * np.where(born, 1.0 - since, 1.0), growth=growth, diluted=part.diluted,
-                )  # fmt: skip
+                    inside,
+                    before,
+                    after,
+                    start + length * np.where(born, since, 0.0),
+                    length * np.where(born, 1.0 - since, 1.0),
+                    growth=growth,
+                    diluted=part.diluted,
+                )
             else:
                 inside = solver.advance(
                     inside, before, after, start, length, growth=growth, diluted=part.diluted

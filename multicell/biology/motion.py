@@ -52,13 +52,20 @@ def motion_of(
     if stiffness is not None:
         young = young * stiffness
     return Motion(
-        cells.radius, rate, young, cells.poisson, begin, end,
+        cells.radius,
+        rate,
+        young,
+        cells.poisson,
+        begin,
+        end,
         bonds=bonds(plan, cells, signals, begin, end),
         push=pushed,
         kind=cells.kind if plan.types else None,
         touching=None if touching is None else np.sort(touching, axis=1),
-        held=held, velocity=velocity, newborn=cells.age < length,
-    )  # fmt: skip
+        held=held,
+        velocity=velocity,
+        newborn=cells.age < length,
+    )
 
 
 def bonds(

@@ -121,9 +121,20 @@ class BiologyPlan:
 
 
 _OF_SCENE: Final = (
-    "seed", "dimensions", "cells", "types", "radiation", "contact", "domain", "death", "adhesion",
-    "motility", "chemotaxis", "pull", "motions",
-)  # fmt: skip
+    "seed",
+    "dimensions",
+    "cells",
+    "types",
+    "radiation",
+    "contact",
+    "domain",
+    "death",
+    "adhesion",
+    "motility",
+    "chemotaxis",
+    "pull",
+    "motions",
+)
 
 
 def biology_plan(scene: Scene) -> BiologyPlan:

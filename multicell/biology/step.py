@@ -89,9 +89,13 @@ def grow(plan: BiologyPlan, cells: Cells, signals: Signals, factor: FloatArray, 
 
 
 def age_cells(
-    plan: BiologyPlan, cells: Cells, grown: Grown, signals: Signals,
-    begin: float, end: float,
-) -> tuple[Cells, float]:  # fmt: skip
+    plan: BiologyPlan,
+    cells: Cells,
+    grown: Grown,
+    signals: Signals,
+    begin: float,
+    end: float,
+) -> tuple[Cells, float]:
     """Return the cells at the end of a step, and the volume that dead ones have lost in it, µm³."""
     now, age = grown.cycling, cells.age + (end - begin)
     after = cells.changed(radius=grown.radius, lag=grown.lag, age=age)

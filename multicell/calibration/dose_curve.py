@@ -131,9 +131,16 @@ def _logs(doses: FloatArray) -> FloatArray:
 
 
 def fit_curve(
-    doses: FloatArray, means: FloatArray, counts: FloatArray, draws: FloatArray | None,
-    *, name: str, unit: str, resamples: int, seed: int = 0,
-) -> DoseCurve:  # fmt: skip
+    doses: FloatArray,
+    means: FloatArray,
+    counts: FloatArray,
+    draws: FloatArray | None,
+    *,
+    name: str,
+    unit: str,
+    resamples: int,
+    seed: int = 0,
+) -> DoseCurve:
     """Fit Hill's curve to mean responses.
 
     - ``doses``, ``means``, ``counts``, (m,): the control, then rising doses; mean response and
@@ -169,8 +176,9 @@ def fit_curve(
     freedom = len(doses) - 4  # the control is no datum
     if draws is None and freedom > 0:
         sigma = math.sqrt(cost / freedom) * means[0] / weights
-        draws = _scattered(hill(doses, parameters) * means[0], np.diag(sigma), freedom, resamples,
-                           seed)  # fmt: skip
+        draws = _scattered(
+            hill(doses, parameters) * means[0], np.diag(sigma), freedom, resamples, seed
+        )
     found = np.full((0 if draws is None else len(draws), 3), np.nan)
     for row, drawn in enumerate(() if draws is None else draws):
         if drawn[0] > 0.0:
@@ -179,12 +187,18 @@ def fit_curve(
     half = dose_at(0.5, parameters), dose_at(0.5, found)
     centre = np.exp(parameters[1]), np.exp(found[:, 1])
     return DoseCurve(
-        name, unit, doses, viability,
+        name,
+        unit,
+        doses,
+        viability,
         _dose(float(half[0]), half[1], low, high, unit),
         _dose(float(centre[0]), centre[1], low, high, unit),
-        _estimate(parameters[2], found[:, 2]), _estimate(parameters[0], found[:, 0]),
-        math.sqrt(np.mean((hill(doses, parameters) - viability)**2)), parameters, found,
-    )  # fmt: skip
+        _estimate(parameters[2], found[:, 2]),
+        _estimate(parameters[0], found[:, 0]),
+        math.sqrt(np.mean((hill(doses, parameters) - viability) ** 2)),
+        parameters,
+        found,
+    )
 
 
 def draw_means(
@@ -248,9 +262,15 @@ def _least_squares(
     # with full output there are no warnings, as of a slope at its end: the curve is the best one
     with np.errstate(all="ignore"):
         found = leastsq(
-            residuals, start, Dfun=jacobian, full_output=True, col_deriv=True,
-            ftol=tolerance, xtol=tolerance, maxfev=200,
-        )[0]  # fmt: skip
+            residuals,
+            start,
+            Dfun=jacobian,
+            full_output=True,
+            col_deriv=True,
+            ftol=tolerance,
+            xtol=tolerance,
+            maxfev=200,
+        )[0]
         return found, float((residuals(found) ** 2).sum())
 
 
@@ -299,7 +319,7 @@ def _dose(value: float, draws: FloatArray, lowest: float, largest: float, unit: 
 
 def combine_drugs(
     points: FloatArray, viability: FloatArray, draws: FloatArray | None, curves: Sequence[DoseCurve]
-) -> tuple[list[dict[str, float | bool]], dict[str, Estimate]]:  # fmt: skip
+) -> tuple[list[dict[str, float | bool]], dict[str, Estimate]]:
     """Compare two drugs together with what each does alone.
 
     ``bliss_excess`` is E_A E_B - E_AB, with the viabilities at each dose alone: above zero fewer

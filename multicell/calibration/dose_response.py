@@ -258,10 +258,13 @@ def run_dose_plan(plan: DosePlan, folder: Path, **how: Any) -> DoseResponse:
     final, failures = read_final(outcomes, folder, parts)
     values = np.sum([final[part] for part in parts], axis=0).reshape(len(plan.points), -1)
     rows = [
-        {"replicate": run.coordinates["seed"], "run": run.name,
-         "reason": failures.get(run.name, "")}
+        {
+            "replicate": run.coordinates["seed"],
+            "run": run.name,
+            "reason": failures.get(run.name, ""),
+        }
         for run in study.runs
-    ]  # fmt: skip
+    ]
     notes = []
     if failures:
         first = next(failures[run.name] for run in study.runs if run.name in failures)
@@ -273,10 +276,18 @@ def run_dose_plan(plan: DosePlan, folder: Path, **how: Any) -> DoseResponse:
         )
     known = "living cells" if plan.observable == LIVING else words(plan.observable)
     result = analyse_doses(
-        plan.points, values, rows, names=plan.names, units=plan.units, response=known,
-        shared=True, notes=notes,
-        scene=plan.scene, folder=folder, title=plan.scene.title or "Untitled scene",
-    )  # fmt: skip
+        plan.points,
+        values,
+        rows,
+        names=plan.names,
+        units=plan.units,
+        response=known,
+        shared=True,
+        notes=notes,
+        scene=plan.scene,
+        folder=folder,
+        title=plan.scene.title or "Untitled scene",
+    )
     result.write_tables()  # numbers do not wait for a page
     return result
 
@@ -326,10 +337,15 @@ def of_table(source: Any, columns: str | None = None, where: str | None = None) 
     values = np.array([[cells.get((p, label), math.nan) for label in labels] for p in rising])
     rows = [{"replicate": label, "run": "", "reason": ""} for _ in rising for label in labels]
     return analyse_doses(
-        np.array(rising), values, rows, names=drugs,
-        units=[known[place_of[name]][1] for name in drugs], response="response",
-        shared=shared, title=table.name,
-    )  # fmt: skip
+        np.array(rising),
+        values,
+        rows,
+        names=drugs,
+        units=[known[place_of[name]][1] for name in drugs],
+        response="response",
+        shared=shared,
+        title=table.name,
+    )
 
 
 def _check_points(points: Sequence[tuple[float, ...]], drugs: int, table: str) -> None:
@@ -351,10 +367,19 @@ def _check_points(points: Sequence[tuple[float, ...]], drugs: int, table: str) -
 
 
 def analyse_doses(
-    points: FloatArray, values: FloatArray, rows: Sequence[Row], *,
-    names: Sequence[str], units: Sequence[str], response: str, shared: bool,
-    title: str, notes: Sequence[str] = (), scene: Scene | None = None, folder: Path | None = None,
-) -> DoseResponse:  # fmt: skip
+    points: FloatArray,
+    values: FloatArray,
+    rows: Sequence[Row],
+    *,
+    names: Sequence[str],
+    units: Sequence[str],
+    response: str,
+    shared: bool,
+    title: str,
+    notes: Sequence[str] = (),
+    scene: Scene | None = None,
+    folder: Path | None = None,
+) -> DoseResponse:
     """Return the dose response of values (m, n) at points (m, k), NaN where there are none.
 
     The first point is the control, and ``rows`` says of each value where it comes from; other
@@ -387,10 +412,14 @@ def analyse_doses(
     for drug, (name, unit) in enumerate(zip(names, units, strict=True)):
         alone = np.flatnonzero(np.delete(points, drug, axis=1).sum(axis=1) == 0.0)
         curve = fit_curve(
-            points[alone, drug], means[alone], counts[alone],
-            None if draws is None else draws[:, alone], name=name, unit=unit,
+            points[alone, drug],
+            means[alone],
+            counts[alone],
+            None if draws is None else draws[:, alone],
+            name=name,
+            unit=unit,
             resamples=RESAMPLES,
-        )  # fmt: skip
+        )
         curves.append(curve)
     pairs: list[Row] = []
     totals: dict[str, Estimate] = {}
@@ -405,6 +434,14 @@ def analyse_doses(
             + (", and there are none of the combinations" if pairs else "")
         )
     return DoseResponse(
-        title, tuple(curves), response, int(counts.max()), table, pairs, totals, found,
-        scene, folder,
-    )  # fmt: skip
+        title,
+        tuple(curves),
+        response,
+        int(counts.max()),
+        table,
+        pairs,
+        totals,
+        found,
+        scene,
+        folder,
+    )

@@ -91,9 +91,10 @@ def _draw_curve(axes: Axes, result: DoseResponse, drug: int) -> None:
     control = low / (high / low) ** (_ROOM / (_ROOM + len(curve.doses)))
     titles = DOSES[len(result.curves)]
     alone = [
-        row for row in result.table
+        row
+        for row in result.table
         if all(row[title] == 0.0 for k, title in enumerate(titles) if k != drug)
-    ]  # fmt: skip
+    ]
     x = np.array([row[titles[drug]] or control for row in alone])
     y = np.array([row["viability"] for row in alone])
     axes.plot(x, y, "o", color=BLUE, ms=4, alpha=0.35, mew=0, zorder=2)
@@ -109,8 +110,11 @@ def _draw_curve(axes: Axes, result: DoseResponse, drug: int) -> None:
     axes.axvline(np.sqrt(low * control), color="#c3ccd3", lw=1.0, ls=(0, (2, 3)))
     decades = np.log10(high / low)
     shares = (1.0,) if decades > 4.0 else (1.0, 3.0) if decades > 1.5 else (1.0, 2.0, 5.0)
-    ticks = [t for t in LogLocator(subs=shares, numticks=99).tick_values(low, high)
-             if low / 1.001 <= t <= high * 1.001]  # fmt: skip
+    ticks = [
+        t
+        for t in LogLocator(subs=shares, numticks=99).tick_values(low, high)
+        if low / 1.001 <= t <= high * 1.001
+    ]
     axes.xaxis.set_major_locator(FixedLocator([control, *(ticks or [low, high])]))
     axes.xaxis.set_major_formatter(
         FuncFormatter(lambda v, _: "control" if v < 0.99 * low else number_text(v))
@@ -129,8 +133,16 @@ def _mark_half(axes: Axes, curve: DoseCurve, left: float) -> None:
     half, reached = curve.ic50, np.isfinite(curve.ic50.value)
     words = f"IC50 {half.words}".replace("uM", "µM").replace(" (95 %", "\n(95 %")
     axes.axhline(0.5, color=QUIET, lw=0.9, ls=(0, (4, 3)), zorder=1)
-    axes.annotate(words, (0.97, 0.95), xycoords="axes fraction", ha="right", va="top", fontsize=11,
-                  color=RED if reached else QUIET, linespacing=1.4)  # fmt: skip
+    axes.annotate(
+        words,
+        (0.97, 0.95),
+        xycoords="axes fraction",
+        ha="right",
+        va="top",
+        fontsize=11,
+        color=RED if reached else QUIET,
+        linespacing=1.4,
+    )
     if not reached:
         return
     axes.plot([half.value] * 2, [-9.0, 0.5], color=RED, lw=1.2, zorder=3)
@@ -160,14 +172,17 @@ def _draw_map(axes: Axes, result: DoseResponse, name: str, title: str, neutral: 
         low, high = row[f"{name}_low"], row[f"{name}_high"]
         clear = low > neutral or high < neutral
         pale = bool(neutral and row["extrapolated"]) or not np.isfinite(row[name])
-        how: dict[str, Any] = {"weight": "bold" if clear else "normal",
-                               "color": QUIET if pale else INK}  # fmt: skip
+        how: dict[str, Any] = {
+            "weight": "bold" if clear else "normal",
+            "color": QUIET if pale else INK,
+        }
         text = f"{round(row[name], 2) + 0.0:.2f}" if np.isfinite(row[name]) else "–"
         axes.text(x + 0.5, y + 0.5, text, ha="center", va="center", fontsize=11, **how)
     for axis, side, curve in zip((axes.xaxis, axes.yaxis), sides, result.curves, strict=True):
         step = -(-len(side) // 10)
-        axis.set_ticks([k + 0.5 for k in range(0, len(side), step)],
-                       [number_text(v) for v in side[::step]])  # fmt: skip
+        axis.set_ticks(
+            [k + 0.5 for k in range(0, len(side), step)], [number_text(v) for v in side[::step]]
+        )
         axis.set_label_text(_label(curve))
     axes.grid(False)
     axes.spines[:].set_visible(False)

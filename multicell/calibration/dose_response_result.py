@@ -84,8 +84,11 @@ class DoseResponse:
             "replicates": self.replicates,
             "curves": [
                 {
-                    "name": curve.name, "unit": curve.unit, "doses": curve.doses,
-                    "viability": curve.viability, "error": curve.error,
+                    "name": curve.name,
+                    "unit": curve.unit,
+                    "doses": curve.doses,
+                    "viability": curve.viability,
+                    "error": curve.error,
                     **{name: asdict(entry) for name, entry in curve.estimates.items()},
                 }
                 for curve in self.curves
@@ -96,7 +99,7 @@ class DoseResponse:
             "notes": self.notes,
             "versions": versions(),
             "scene": None if self.scene is None else self.scene.to_dict(),
-        }  # fmt: skip
+        }
 
     def to_json(self) -> str:
         """Return everything as strict JSON; what is NaN or infinite is null."""

@@ -180,10 +180,12 @@ def emulator(
         for name in dict.fromkeys(names.tolist())
     )
     return Emulator(
-        processes, floor, _near_scatter(scatter, loss),
+        processes,
+        floor,
+        _near_scatter(scatter, loss),
         noise or Noise.of_means(np.ones(residuals.shape[1])),
         Prior(shares.shape[1]) if prior is None else prior,
-    )  # fmt: skip
+    )
 
 
 def _process(points: Array, residuals: Array, numbers: NDArray[np.int64], lowest: Array) -> Process:
@@ -320,8 +322,9 @@ def _targets(
     precision, shift = np.zeros(len(mean)), np.zeros(len(mean))
     for _ in range(_SWEEPS):
         root = np.sqrt(precision)
-        inner = np.linalg.solve(np.eye(len(mean)) + root[:, None] * spread * root,
-                                root[:, None] * spread)  # fmt: skip
+        inner = np.linalg.solve(
+            np.eye(len(mean)) + root[:, None] * spread * root, root[:, None] * spread
+        )
         after = spread - (spread * root) @ inner
         variance = np.maximum(np.diag(after), 1e-12)
         without = 1.0 / np.maximum(1.0 / variance - precision, 1e-12)
@@ -391,9 +394,13 @@ def best_of(loss: Loss, prior: Prior, found: Array) -> Array:
 
 
 def _move(
-    loss: Loss, prior: Prior, found: Array, losses: Array, power: float,
+    loss: Loss,
+    prior: Prior,
+    found: Array,
+    losses: Array,
+    power: float,
     random: np.random.Generator,
-) -> tuple[Array, Array]:  # fmt: skip
+) -> tuple[Array, Array]:
     """Return draws after Metropolis steps at a power of the likelihood."""
     dimensions = found.shape[1]
     spread = np.atleast_2d(np.cov(found.T)) + 1e-12 * np.eye(dimensions)

@@ -110,13 +110,26 @@ def fit(
         If no run gives anything to compare, or a budget ends before there is a result.
     """
     plan = plan_fit(
-        scene, data, free, seeds=seeds, repeats=repeats, budget=budget, sd=sd,
-        specimens=specimens, columns=columns, where=where, simulator=simulator,
-    )  # fmt: skip
+        scene,
+        data,
+        free,
+        seeds=seeds,
+        repeats=repeats,
+        budget=budget,
+        sd=sd,
+        specimens=specimens,
+        columns=columns,
+        where=where,
+        simulator=simulator,
+    )
     return run_fit_plan(
-        plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
+        plan,
+        output=output,
+        cores=cores,
+        scheduler=scheduler,
+        overwrite=overwrite,
         progress=progress,
-    )  # fmt: skip
+    )
 
 
 def plan_fit(

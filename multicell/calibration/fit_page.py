@@ -97,8 +97,10 @@ def parameters_in_words(fit: Fit) -> list[dict[str, str]]:
             "key": free.key,
             "best": fit.best.words[free.key],
             "range": f"{low} to {high}",
-            "median": "", "interval": "", "part": "",
-        }  # fmt: skip
+            "median": "",
+            "interval": "",
+            "part": "",
+        }
         if interval is not None:
             row["median"] = value_in_words(interval.median, free.unit)
             ends = [value_in_words(end, free.unit) for end in (interval.low, interval.high)]

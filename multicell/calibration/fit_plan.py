@@ -45,11 +45,22 @@ if TYPE_CHECKING:
 FIT: Final = "fit.json"  # what the folder is a fit of
 SEARCH: Final = "search.log"  # points and readings of the search, and of fresh runs
 FIT_FILES: Final = (
-    FIT, "scene.toml", "data.csv", SEARCH, "result.json", "best.toml", "posterior.csv",
-    "residuals.csv", "runs.csv", "report.html", "data.png", "parameters.png", "profiles.png",
+    FIT,
+    "scene.toml",
+    "data.csv",
+    SEARCH,
+    "result.json",
+    "best.toml",
+    "posterior.csv",
+    "residuals.csv",
+    "runs.csv",
+    "report.html",
+    "data.png",
+    "parameters.png",
+    "profiles.png",
     "deviations.png",
     *COPIES,
-)  # fmt: skip
+)
 _PACKAGES: Final = ("optuna", "distributed", "pandas", "scikit-learn")
 
 _ROUNDS: Final = 2  # in which further sets of parameters are tried
@@ -192,9 +203,14 @@ def make_runs(
 
 
 def _found(
-    plan: FitPlan, folder: Path | None, facts: Mapping[str, Any] | None, search: Search,
-    evaluations: Sequence[Evaluation], again: Fresh, seconds: float,
-) -> Fit:  # fmt: skip
+    plan: FitPlan,
+    folder: Path | None,
+    facts: Mapping[str, Any] | None,
+    search: Search,
+    evaluations: Sequence[Evaluation],
+    again: Fresh,
+    seconds: float,
+) -> Fit:
     from multicell.calibration.fitted import Fit
 
     own = {

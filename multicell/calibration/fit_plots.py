@@ -26,8 +26,15 @@ if TYPE_CHECKING:
     from multicell.studies.axes import Range
 
 _COLOURS: Final = (
-    "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#a04000", "#6a5acd", "#7a8b00",
-)  # fmt: skip
+    "#0072b2",
+    "#e69f00",
+    "#009e73",
+    "#cc79a7",
+    "#56b4e9",
+    "#a04000",
+    "#6a5acd",
+    "#7a8b00",
+)
 _MAX_PAIRED: Final = 6  # parameters that are drawn pairwise; of more the first ones
 _UPRIGHT: Final = 9  # single data whose labels stand beside each other
 _ZOOMED: Final = 0.35  # part of a range below which only that is drawn
@@ -202,9 +209,17 @@ def _over_axis(axes: Axes, fit: Fit, numbers: Sequence[int], band: Array) -> Non
         values, errors = _bars([data[k] for k in own])
         label = fit.problem.measured.conditions[condition].label
         axes.errorbar(
-            times, values, errors, fmt="o", color=colour, markersize=5, capsize=3, label=label,
-            markeredgecolor="white", markeredgewidth=0.6,
-        )  # fmt: skip
+            times,
+            values,
+            errors,
+            fmt="o",
+            color=colour,
+            markersize=5,
+            capsize=3,
+            label=label,
+            markeredgecolor="white",
+            markeredgewidth=0.6,
+        )
     axes.set_xlabel("depth below the surface (µm)" if profile else f"time ({unit.name})")
     if not profile:
         axes.set_xlim(left=0.0)
@@ -222,9 +237,16 @@ def _one_by_one(axes: Axes, fit: Fit, numbers: Sequence[int], band: Array) -> No
     for place, value in zip(places, fit.best.readings[own], strict=True):
         axes.plot([place - 0.25, place + 0.25], [value, value], color=BLUE, linewidth=2.0)
     axes.errorbar(
-        places, values, errors, fmt="o", color=INK, markersize=5, capsize=3,
-        markeredgecolor="white", markeredgewidth=0.6,
-    )  # fmt: skip
+        places,
+        values,
+        errors,
+        fmt="o",
+        color=INK,
+        markersize=5,
+        capsize=3,
+        markeredgecolor="white",
+        markeredgewidth=0.6,
+    )
     names = [_place(fit, data[k]) for k in own]
     if len(own) <= _UPRIGHT:
         axes.set_xticks(places, [name.replace(", ", "\n") for name in names], fontsize=9)

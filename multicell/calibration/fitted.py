@@ -186,10 +186,13 @@ class Fit:
         shares = self.some_sample()
         columns = self.problem.columns(shares)
         variables = {
-            free.name: (("chain", "draw"), np.array([columns[free.name]], dtype=float),
-                        {"units": free.unit, "key": free.key, "range": [free.low, free.high]})
+            free.name: (
+                ("chain", "draw"),
+                np.array([columns[free.name]], dtype=float),
+                {"units": free.unit, "key": free.key, "range": [free.low, free.high]},
+            )
             for free in self.problem.ranges
-        }  # fmt: skip
+        }
         return xarray.Dataset(
             variables,
             coords={"chain": [0], "draw": np.arange(len(shares))},

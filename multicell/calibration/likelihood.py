@@ -240,9 +240,13 @@ def most_fresh(count: int) -> int:
 
 
 def _again(
-    search: Search, pool: Pool, shares: Array, seeds: Sequence[int], done: tuple[int, int],
+    search: Search,
+    pool: Pool,
+    shares: Array,
+    seeds: Sequence[int],
+    done: tuple[int, int],
     progress: Callable[[int, int], None] | None,
-) -> tuple[Array, list[str]]:  # fmt: skip
+) -> tuple[Array, list[str]]:
     """Run a point with some seeds, after some of so many."""
 
     def note(ready: int, wanted: int) -> None:

@@ -189,9 +189,12 @@ def predictive_check(fit: Fit) -> PredictiveCheck:
     low, median, high = map(problem.unscale, rows)
     about = pandas.DataFrame(fit.rows())[["row", "condition", "observable", "unit", "time"]]
     table = about.assign(
-        measured=[d.value for d in problem.measured.data], low=low, median=median, high=high,
+        measured=[d.value for d in problem.measured.data],
+        low=low,
+        median=median,
+        high=high,
         p=2.0 * np.minimum(above, 1.0 - above),
-    )  # fmt: skip
+    )
     chi_squared, largest = found.check()
     return PredictiveCheck(chi_squared, largest, table)
 
@@ -268,8 +271,16 @@ def _key(fit: Fit) -> list[tuple[object, ...]]:
     """Return all that the likelihood takes from data."""
     measured = fit.problem.measured
     return [
-        (d.observable, d.value, d.sigma, d.log, d.time, d.depth,
-         d.tissues, d.specimens,
-         sorted(measured.conditions[d.condition].changes.items(), key=str))
+        (
+            d.observable,
+            d.value,
+            d.sigma,
+            d.log,
+            d.time,
+            d.depth,
+            d.tissues,
+            d.specimens,
+            sorted(measured.conditions[d.condition].changes.items(), key=str),
+        )
         for d in measured.data
-    ]  # fmt: skip
+    ]

@@ -254,9 +254,12 @@ def misfit(
 
 
 def _moderate(
-    scatter: Array, known: NDArray[np.bool_], freedom: float, groups: NDArray[np.int64],
+    scatter: Array,
+    known: NDArray[np.bool_],
+    freedom: float,
+    groups: NDArray[np.int64],
     sizes: Array,
-) -> Array:  # fmt: skip
+) -> Array:
     """Return variances drawn towards the mean of their groups."""
     relative = np.where(known, scatter / sizes**2, 0.0)
     members = np.bincount(groups, weights=known)

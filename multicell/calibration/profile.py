@@ -122,9 +122,15 @@ def _profile(
     free = ranges[place]
     least = int(np.argmin(losses))  # where a point beside the best is better by rounding
     return LikelihoodProfile(
-        free.name, free.unit, np.asarray(values_at(free, grid)), losses - losses[least], found,
-        float(values_at(free, grid[least : least + 1])[0]), grid, free,
-    )  # fmt: skip
+        free.name,
+        free.unit,
+        np.asarray(values_at(free, grid)),
+        losses - losses[least],
+        found,
+        float(values_at(free, grid[least : least + 1])[0]),
+        grid,
+        free,
+    )
 
 
 def _least(loss: Loss, starts: Array, fixed: int | None) -> Array:
@@ -146,9 +152,13 @@ def _least(loss: Loss, starts: Array, fixed: int | None) -> Array:
     ends = []
     for start in order[:2]:
         down = minimize(
-            value_and_slope, start[moving], args=(start,), jac=True, method="L-BFGS-B",
+            value_and_slope,
+            start[moving],
+            args=(start,),
+            jac=True,
+            method="L-BFGS-B",
             bounds=[(0.0, 1.0)] * len(moving),
-        )  # fmt: skip
+        )
         end = start.copy()
         end[moving] = np.clip(down.x, 0.0, 1.0)
         ends.append(end)

@@ -221,9 +221,12 @@ class Search:
         self._make(pool, runs, progress, max(points * len(self._problem.tasks()), len(runs)))
 
     def _make(
-        self, pool: Pool, runs: Sequence[Run], progress: Callable[[int, int], None] | None,
+        self,
+        pool: Pool,
+        runs: Sequence[Run],
+        progress: Callable[[int, int], None] | None,
         wanted: int,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Make those of some runs that are not known, and keep what they come to."""
         missing = self._missing(runs)
         done = len(runs) - len(missing)
@@ -232,11 +235,15 @@ class Search:
         ]
         for run, reading in pool.results(calls):
             shares, condition, seed = run
-            self._note({
-                "shares": list(shares), "condition": condition, "seed": seed,
-                "values": [None if v != v else v for v in reading.values],
-                "reason": reading.reason,
-            })  # fmt: skip
+            self._note(
+                {
+                    "shares": list(shares),
+                    "condition": condition,
+                    "seed": seed,
+                    "values": [None if v != v else v for v in reading.values],
+                    "reason": reading.reason,
+                }
+            )
             done += 1
             if progress is not None:
                 progress(done, wanted)

@@ -108,8 +108,9 @@ def _bars(axes: Axes, rows: list[Row]) -> None:
     )
     colours = [BLUE if row["verdict"] in (CLEAR, CLEAR_SINGLE) else PALE for row in rows]
     axes.barh(places, np.nan_to_num(values), 0.63, color=colours)
-    axes.errorbar(values, places, xerr=halves, fmt="none", ecolor=QUIET, elinewidth=1.3,
-                  capsize=2.5)  # fmt: skip
+    axes.errorbar(
+        values, places, xerr=halves, fmt="none", ecolor=QUIET, elinewidth=1.3, capsize=2.5
+    )
     there = noise > 0.0
     axes.vlines(noise[there], places[there] - 0.35, places[there] + 0.35, color=RED, lw=2, zorder=4)
     axes.axvline(0.0, color=QUIET, lw=0.8)

@@ -180,9 +180,10 @@ class SobolIndices:
 
 
 def sobol_result(
-    plan: SensitivityPlan, values: Mapping[str, FloatArray],
+    plan: SensitivityPlan,
+    values: Mapping[str, FloatArray],
     failures: Mapping[str, str] = MappingProxyType({}),
-) -> SobolIndices:  # fmt: skip
+) -> SobolIndices:
     """Return the indices of whatever has values at the points of a plan's sample."""
     from multicell.results.quantities import known_unit
 
@@ -200,12 +201,17 @@ def sobol_result(
             notes.append(f"{name} does not vary, or has too few points: no index is known")
         table += [
             {
-                "observable": name, "unit": known_unit(name), "parameter": free.name,
-                "key": free.key, "low": free.low, "high": free.high, "parameter_unit": free.unit,
+                "observable": name,
+                "unit": known_unit(name),
+                "parameter": free.name,
+                "key": free.key,
+                "low": free.low,
+                "high": free.high,
+                "parameter_unit": free.unit,
                 **{column: float(found[column][k]) for column in COLUMNS_SOBOL},
             }
             for k, free in enumerate(plan.ranges)
-        ]  # fmt: skip
+        ]
     if len(plan.seeds) == 1:
         notes.append("one seed: the part of the noise is unknown; take at least two")
     return SobolIndices(plan.scene, plan.ranges, plan.size, plan.seeds, table, notes, failures)

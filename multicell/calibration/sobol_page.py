@@ -67,8 +67,15 @@ def sobol_bars(result: SobolIndices, observable: str) -> Figure:
         values = np.array([row[column] for row in rows])
         halves = np.array([row[f"{column}_conf"] for row in rows])
         axes.barh(places + shift, np.nan_to_num(values), 0.34, color=colour, label=label)
-        axes.errorbar(values, places + shift, xerr=halves, fmt="none", ecolor=QUIET,
-                      elinewidth=1.3, capsize=2.5)  # fmt: skip
+        axes.errorbar(
+            values,
+            places + shift,
+            xerr=halves,
+            fmt="none",
+            ecolor=QUIET,
+            elinewidth=1.3,
+            capsize=2.5,
+        )
     axes.set_yticks(places, [key_words(str(row["key"]), str(row["parameter"])) for row in rows])
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.grid(False, axis="y")

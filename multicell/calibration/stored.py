@@ -18,8 +18,14 @@ from multicell.results.folder import to_json
 from multicell.studies.runs import MODEL_VERSION
 
 FACTS: Final = (
-    "sd", "specimens", "seeds", "repeats", "sets_of_parameters", "fresh_runs", "seconds",
-)  # fmt: skip
+    "sd",
+    "specimens",
+    "seeds",
+    "repeats",
+    "sets_of_parameters",
+    "fresh_runs",
+    "seconds",
+)
 
 _MENDS: Final = "The same 'multicell fit' in this folder writes them again, without a new run"
 
@@ -77,9 +83,14 @@ def _stored_plan(folder: Path, result: dict[str, Any]) -> FitPlan:
             for key, r in problem["free"].items()
         }
         plan = plan_fit(
-            folder / "scene.toml", folder / "data.csv", free, seeds=len(problem["seeds"]),
-            repeats=result["repeats"], sd=problem["sd"], specimens=problem["specimens"],
-        )  # fmt: skip
+            folder / "scene.toml",
+            folder / "data.csv",
+            free,
+            seeds=len(problem["seeds"]),
+            repeats=result["repeats"],
+            sd=problem["sd"],
+            specimens=problem["specimens"],
+        )
         plan = replace(plan, points=int(result["sets_of_parameters"]), extra=0)
     except OutputError:
         raise

@@ -22,9 +22,13 @@ def _observables(what: str, several: str) -> shared.Option:
         f"own, as mine.py:rim_area. {several}"
     )
     return click.option(
-        "--observable", "observables", multiple=True, callback=shared.observable_names,
-        metavar="NAME", help=help,
-    )  # fmt: skip
+        "--observable",
+        "observables",
+        multiple=True,
+        callback=shared.observable_names,
+        metavar="NAME",
+        help=help,
+    )
 
 
 @click.command("sensitivity")

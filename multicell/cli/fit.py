@@ -102,9 +102,13 @@ def fit_command(
     try:
         with display(lambda: [words], note, show=not quiet) as progress:
             found = run_fit_plan(
-                plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
+                plan,
+                output=output,
+                cores=cores,
+                scheduler=scheduler,
+                overwrite=overwrite,
                 progress=progress,
-            )  # fmt: skip
+            )
     except KeyboardInterrupt:
         complain(f"What has run is kept in '{output}'; the same command continues with it.")
         raise
@@ -166,12 +170,20 @@ def profile_command(
     if output is not None:
         save_figure(found.plot.profile(), output)
     if as_json:
-        print_json([
-            {"name": one.name, "unit": one.unit, "best": one.best, "level": level,
-             "interval": [x if isfinite(x) else None for x in pair],
-             "values": one.values.tolist(), "loss": one.loss.tolist()}
-            for one, pair in zip(profiles, ends, strict=True)
-        ])  # fmt: skip
+        print_json(
+            [
+                {
+                    "name": one.name,
+                    "unit": one.unit,
+                    "best": one.best,
+                    "level": level,
+                    "interval": [x if isfinite(x) else None for x in pair],
+                    "values": one.values.tolist(),
+                    "loss": one.loss.tolist(),
+                }
+                for one, pair in zip(profiles, ends, strict=True)
+            ]
+        )
         return
     rows = []
     for one, pair in zip(profiles, ends, strict=True):

@@ -123,7 +123,7 @@ def keyed(option: str, name: str, metavar: str, help: str, **more: Any) -> Optio
     """Return an option for keys with values, which may be given several times."""
     return click.option(
         option, name, multiple=True, callback=with_values, metavar=metavar, help=help, **more
-    )  # fmt: skip
+    )
 
 
 changes_option = keyed(

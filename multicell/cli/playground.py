@@ -96,10 +96,15 @@ class Playground:
             unit, factor = self._unit(item)
             found.append(
                 {
-                    "key": item.key, "low": item.low / factor, "high": item.high / factor,
-                    "log": item.log, "whole": item.whole, "unit": unit, "place": place,
+                    "key": item.key,
+                    "low": item.low / factor,
+                    "high": item.high / factor,
+                    "log": item.log,
+                    "whole": item.whole,
+                    "unit": unit,
+                    "place": place,
                 }
-            )  # fmt: skip
+            )
         return found
 
     def _shares(self) -> list[float]:
@@ -152,11 +157,23 @@ class Playground:
         place = str(self._folder / str(self.number))
         with log.open("wb") as said:
             self._worker = subprocess.Popen(
-                [sys.executable, "-m", "multicell", "run", str(file), "-o", place, *self._law,
-                 "--no-report", "--quiet"],
-                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said,
+                [
+                    sys.executable,
+                    "-m",
+                    "multicell",
+                    "run",
+                    str(file),
+                    "-o",
+                    place,
+                    *self._law,
+                    "--no-report",
+                    "--quiet",
+                ],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=said,
                 start_new_session=True,
-            )  # fmt: skip
+            )
         return self.number
 
     def stop(self) -> None:
@@ -218,10 +235,15 @@ class Playground:
         """Return the page."""
         sliders = self.sliders()
         return rendered(
-            "play.html", title=self.scene.title or "Untitled scene", subtitle=self.note, tiles={},
-            scene="", sliders=sliders, **script("play.js"),
+            "play.html",
+            title=self.scene.title or "Untitled scene",
+            subtitle=self.note,
+            tiles={},
+            scene="",
+            sliders=sliders,
+            **script("play.js"),
             about=Markup(json.dumps(sliders).replace("<", "\\u003c")),
-        )  # fmt: skip
+        )
 
     def view(self) -> str:
         """Return the view of the newest run."""

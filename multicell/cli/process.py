@@ -59,9 +59,12 @@ class Commands(click.Group):
     """
 
     def __init__(
-        self, *arguments: Any, elsewhere: Mapping[str, str], tasks: Mapping[str, Sequence[str]],
+        self,
+        *arguments: Any,
+        elsewhere: Mapping[str, str],
+        tasks: Mapping[str, Sequence[str]],
         **options: Any,
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(*arguments, **options)
         self._tasks = tasks
         self._elsewhere = elsewhere

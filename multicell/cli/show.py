@@ -21,8 +21,12 @@ if TYPE_CHECKING:
     from multicell.report.result import Result
 
 _OPTIONS = {
-    "plane": "--section", "colour": "--colour", "cut": "--cut", "turn": "--turn", "frame": "--time",
-}  # fmt: skip
+    "plane": "--section",
+    "colour": "--colour",
+    "cut": "--cut",
+    "turn": "--turn",
+    "frame": "--time",
+}
 """Options of pictures by the names that their methods have for them."""
 
 

@@ -123,11 +123,15 @@ def _print_plan(made: Study, quiet: bool, as_json: bool) -> None:
     if as_json:
         print_json(
             {
-                "folder": str(made.folder), "points": len(made.plan.points),
-                "seeds": made.plan.seeds, "runs": len(states), "done": done,
-                "cores": cores, "expected": asdict(cost),
+                "folder": str(made.folder),
+                "points": len(made.plan.points),
+                "seeds": made.plan.seeds,
+                "runs": len(states),
+                "done": done,
+                "cores": cores,
+                "expected": asdict(cost),
             }
-        )  # fmt: skip
+        )
         return
     if quiet:
         return

@@ -101,6 +101,10 @@ class Comparison(ABC):
         for name, rows in self.tables().items():
             write_text(folder / name, table_text(rows))
         return write_page(
-            folder / "report.html", self.template, scene=self.scene, result=self,
-            pictures=self.pictures(), **self.page(),
-        )  # fmt: skip
+            folder / "report.html",
+            self.template,
+            scene=self.scene,
+            result=self,
+            pictures=self.pictures(),
+            **self.page(),
+        )

@@ -110,9 +110,13 @@ def _costs(result: WorkPrecision, norm: str, cost: str) -> list[float]:
 
 
 def _panel(
-    axes: Axes, result: WorkPrecision, norm: str, cost: str,
-    ends: tuple[_Range, _Range], styles: Mapping[str, Style],
-) -> None:  # fmt: skip
+    axes: Axes,
+    result: WorkPrecision,
+    norm: str,
+    cost: str,
+    ends: tuple[_Range, _Range],
+    styles: Mapping[str, Style],
+) -> None:
     """Draw the curves of one norm over one cost, with decades of the same length.
 
     Thin bars go from the shortest to the longest repeat. Errors within the uncertainty of the
@@ -124,15 +128,25 @@ def _panel(
             continue
         pale = colour == PALE
         axes.plot(
-            [p.cost for p in found], [p.error for p in found], line, color=colour, marker=marker,
-            ms=3.6 if pale else 6.0, lw=0.9 if pale else 1.5, label=method,
+            [p.cost for p in found],
+            [p.error for p in found],
+            line,
+            color=colour,
+            marker=marker,
+            ms=3.6 if pale else 6.0,
+            lw=0.9 if pale else 1.5,
+            label=method,
             zorder=1.5 if pale else 2.5,
-        )  # fmt: skip
+        )
         spread = [p for p in found if p.longest > p.shortest]
         axes.hlines(
-            [p.error for p in spread], [p.shortest for p in spread], [p.longest for p in spread],
-            color=colour, lw=0.8, zorder=1.4 if pale else 2.4,
-        )  # fmt: skip
+            [p.error for p in spread],
+            [p.shortest for p in spread],
+            [p.longest for p in spread],
+            color=colour,
+            lw=0.8,
+            zorder=1.4 if pale else 2.4,
+        )
     _set_limits(axes, *ends)
     axes.set_aspect("equal")
     known = result.conditioning
@@ -260,11 +274,21 @@ def _draw_legend(
     if failures:
         handles.append(Line2D([], [], color=RED, marker="x", ls="", mew=1.6, label="failed solve"))
     figure.legend(
-        handles=handles, loc="upper left", bbox_to_anchor=place, fontsize=10,
-        labelspacing=0.5, handlelength=1.8, borderaxespad=0.0,
-    )  # fmt: skip
+        handles=handles,
+        loc="upper left",
+        bbox_to_anchor=place,
+        fontsize=10,
+        labelspacing=0.5,
+        handlelength=1.8,
+        borderaxespad=0.0,
+    )
     below = place[1] - (0.208 * len(handles) + 0.14) / figure.get_figheight()
     figure.text(
-        place[0] + 0.01, below, "\n".join(_pale_names(styles)), fontsize=8, color=QUIET, va="top",
+        place[0] + 0.01,
+        below,
+        "\n".join(_pale_names(styles)),
+        fontsize=8,
+        color=QUIET,
+        va="top",
         linespacing=1.35,
-    )  # fmt: skip
+    )

@@ -141,10 +141,16 @@ def _solve_row(
         replay(problem, solver)
     timed = replay(problem, solver)
     return _row(
-        method, setting, exact, SOLVED, **_times([(timed.wall, timed.cpu)]), spent=found.wall,
-        cost=weighted_cost(found.work), **vars(found.work),
+        method,
+        setting,
+        exact,
+        SOLVED,
+        **_times([(timed.wall, timed.cpu)]),
+        spent=found.wall,
+        cost=weighted_cost(found.work),
+        **vars(found.work),
         **_columns(errors(problem, observe(problem, found), exact.observed, exact.norms), exact),
-    )  # fmt: skip
+    )
 
 
 def _row(method: Method, setting: float, exact: Reference, status: str, **known: Any) -> Row:

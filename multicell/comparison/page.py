@@ -95,9 +95,10 @@ def _tiles(result: WorkPrecision) -> dict[str, str]:
     facts = result.facts
     first, last = facts["cells"]
     known = result.conditioning
-    shift = {} if known is None else {
-        f"worst cell after a shift of {known.shift:g} µm": f"{np.median(known.worst_cell):.2g} µm"
-    }  # fmt: skip
+    shift = {}
+    if known is not None:
+        title = f"worst cell after a shift of {known.shift:g} µm"
+        shift[title] = f"{np.median(known.worst_cell):.2g} µm"
     return {
         "cells": f"{last:,}" if first == last else f"{first:,} → {last:,}",
         "simulated time": time_unit(facts["time"]).text(facts["time"]),

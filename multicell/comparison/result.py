@@ -96,9 +96,13 @@ class WorkPrecision(Comparison):
             {key: math.nan if x is None else x for key, x in row.items()} for row in rows
         )
         return cls(
-            Scene.from_dict(table["scene"]), solves, uncertainty, table["facts"], table["clock"],
+            Scene.from_dict(table["scene"]),
+            solves,
+            uncertainty,
+            table["facts"],
+            table["clock"],
             Conditioning.from_dict(table["conditioning"]),
-        )  # fmt: skip
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return table, uncertainty, facts and scene as numbers, text and lists."""

@@ -60,9 +60,13 @@ class Account:
         self._taken: set[Element] = set()
 
     def take(
-        self, element: Element | None, fate: Fate, key: str = "", note: str = "",
+        self,
+        element: Element | None,
+        fate: Fate,
+        key: str = "",
+        note: str = "",
         value: str | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Account for an element, if there is one; ValueError if it is accounted for already.
 
         ``value`` stands for what its attributes say, where other elements are in it.

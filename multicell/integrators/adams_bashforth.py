@@ -21,9 +21,15 @@ class AdamsBashforth2(EqualSteps):
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
-        "ab2", "explicit Adams-Bashforth of order 2 with a fixed step", "step", order=2,
-        stable=1.0, remembers=True, colour="#957bd2", marker="D",
-    )  # fmt: skip
+        "ab2",
+        "explicit Adams-Bashforth of order 2 with a fixed step",
+        "step",
+        order=2,
+        stable=1.0,
+        remembers=True,
+        colour="#957bd2",
+        marker="D",
+    )
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
@@ -43,9 +49,15 @@ class AdaptiveAdams(ErrorControl):
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
-        "ab2-adaptive", "explicit Adams-Bashforth of order 2 under error control", "tolerance",
-        order=2, remembers=True, colour="#d4a8d6", marker="p", meant=("adams", "adams-bashforth"),
-    )  # fmt: skip
+        "ab2-adaptive",
+        "explicit Adams-Bashforth of order 2 under error control",
+        "tolerance",
+        order=2,
+        remembers=True,
+        colour="#d4a8d6",
+        marker="p",
+        meant=("adams", "adams-bashforth"),
+    )
 
     patience: int = 0
 

@@ -105,9 +105,13 @@ class Auto(ErrorControl):
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
-        "auto", "ab2-adaptive, rk4-adaptive, rkc2 or an implicit method, for each coupling step",
-        "tolerance", remembers=True, colour="#22303c", marker="*",
-    )  # fmt: skip
+        "auto",
+        "ab2-adaptive, rk4-adaptive, rkc2 or an implicit method, for each coupling step",
+        "tolerance",
+        remembers=True,
+        colour="#22303c",
+        marker="*",
+    )
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""

@@ -66,12 +66,18 @@ class BackwardEuler(EqualSteps):
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
-        "backward-euler", "implicit Euler with a fixed step, Newton's method along the energy",
-        "step", order=1, implicit=True, stable=math.inf, colour="#0d4a3a", marker="v",
+        "backward-euler",
+        "implicit Euler with a fixed step, Newton's method along the energy",
+        "step",
+        order=1,
+        implicit=True,
+        stable=math.inf,
+        colour="#0d4a3a",
+        marker="v",
         make=lambda step, atol, max_displacement: BackwardEuler(
             step, max_displacement, tolerance=_EXACT * atol
         ),
-    )  # fmt: skip
+    )
 
     tolerance: float = _EXACT * info.atol
     newton: int = 100

@@ -33,10 +33,17 @@ class Cvode(ErrorControl):
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
-        "cvode", "implicit: SUNDIALS CVODE, BDF with Newton-Krylov", "tolerance", implicit=True,
-        stable=math.inf, colour="#1f7f54", marker="o", atol=0.01,
-        meant=("bdf", "ode15s", "sundials"), source="hindmarsh2005",
-    )  # fmt: skip
+        "cvode",
+        "implicit: SUNDIALS CVODE, BDF with Newton-Krylov",
+        "tolerance",
+        implicit=True,
+        stable=math.inf,
+        colour="#1f7f54",
+        marker="o",
+        atol=0.01,
+        meant=("bdf", "ode15s", "sundials"),
+        source="hindmarsh2005",
+    )
 
     atol: float = info.atol
     formula: str = "BDF"
@@ -80,10 +87,16 @@ class CvodeAdams(ErrorControl):
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
-        "cvode-adams", "implicit: SUNDIALS CVODE, Adams formulas, solved by the same Newton-Krylov",
-        "tolerance", implicit=True, stable=math.inf, colour="#a3c644", marker="D", atol=0.01,
+        "cvode-adams",
+        "implicit: SUNDIALS CVODE, Adams formulas, solved by the same Newton-Krylov",
+        "tolerance",
+        implicit=True,
+        stable=math.inf,
+        colour="#a3c644",
+        marker="D",
+        atol=0.01,
         source="hindmarsh2005",
-    )  # fmt: skip
+    )
 
     atol: float = info.atol
 

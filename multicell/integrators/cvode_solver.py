@@ -75,10 +75,15 @@ class _Session:
         self.run, self.method = run, method
         self._predictor = Predictor(run)
         self.solver = CVODE(
-            self._predictor.velocity, method=method.formula, rtol=run.share * method.rtol,
-            atol=run.share * method.atol, max_order=_MAX_ORDER[method.formula],
-            max_nonlin_iters=_NEWTON, linsolver="gmres", **options,
-        )  # fmt: skip
+            self._predictor.velocity,
+            method=method.formula,
+            rtol=run.share * method.rtol,
+            atol=run.share * method.atol,
+            max_order=_MAX_ORDER[method.formula],
+            max_nonlin_iters=_NEWTON,
+            linsolver="gmres",
+            **options,
+        )
         self.solver.init_step(0.0, run.position.ravel())
 
     def close(self) -> None:
@@ -97,9 +102,12 @@ class UnpreconditionedCvode(_Session):
         self._moved = np.empty(3 * len(run.position))
         self._probed: list[Taken] = []
         super().__init__(
-            method, run, krylov_dim=_LIGHT_KRYLOV, first_step=_FIRST * run.left,
+            method,
+            run,
+            krylov_dim=_LIGHT_KRYLOV,
+            first_step=_FIRST * run.left,
             jactimes=CVODEJacTimes(None, self.product),
-        )  # fmt: skip
+        )
 
     def step(self) -> Taken:
         """Take one step; ask for the full method where the last ones took many evaluations."""
@@ -176,11 +184,14 @@ class Krylov(_Session):
         self._used, self._reached = np.inf, 0.0
         self._far = _FAR * float(run.system.motion.radius.mean())
         super().__init__(
-            method, run, krylov_dim=_KRYLOV, max_step=ceiling,
+            method,
+            run,
+            krylov_dim=_KRYLOV,
+            max_step=ceiling,
             jactimes=CVODEJacTimes(self.linearise, self.product),
             # on the right the Krylov method measures the true residual
             precond=CVODEPrecond(self.setup, self.solve, side="right"),
-        )  # fmt: skip
+        )
 
     def step(self) -> Taken:
         """Take one step."""
@@ -238,9 +249,16 @@ class Krylov(_Session):
         self._stale = True
 
     def solve(
-        self, t: float, y: FloatArray, yp: FloatArray, r: FloatArray, z: FloatArray,
-        gamma: float, delta: float, lr: int,
-    ) -> None:  # fmt: skip
+        self,
+        t: float,
+        y: FloatArray,
+        yp: FloatArray,
+        r: FloatArray,
+        z: FloatArray,
+        gamma: float,
+        delta: float,
+        lr: int,
+    ) -> None:
         """Apply the preconditioner; where the step is mild it would cost more than it saves."""
         self._used = gamma
         if gamma * self._rate < _MILD:

@@ -91,9 +91,16 @@ def adaptive(
     contacts that its steps miss.
     """
     return _run(
-        system, position, loop, (control, *settings), control.max_displacement, _TOLERANCE_HINT,
-        control.atol, passes=passes, watched=watched,
-    )  # fmt: skip
+        system,
+        position,
+        loop,
+        (control, *settings),
+        control.max_displacement,
+        _TOLERANCE_HINT,
+        control.atol,
+        passes=passes,
+        watched=watched,
+    )
 
 
 def _run(

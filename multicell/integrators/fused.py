@@ -81,9 +81,21 @@ def fused_kernels(radius: FloatArray, *, shared: bool) -> dict[str, tuple[Any, .
     return {
         "foresee_at": (_FORESEE[shared], 0, 0.0, place, 0.0, place, place, radius, place, found),
         "assess_at": (
-            _ASSESS[shared], 0, 0.0, place, 0.0, place, 0.0, place, place, place, 0.0, 0.0, found
+            _ASSESS[shared],
+            0,
+            0.0,
+            place,
+            0.0,
+            place,
+            0.0,
+            place,
+            place,
+            place,
+            0.0,
+            0.0,
+            found,
         ),
-    }  # fmt: skip
+    }
 
 
 def foresee(source, a, u, b, v, position, radius, out, found):
@@ -114,9 +126,19 @@ def _compiled_foresee(source, a, u, b, v, position, radius, out, found):
 def _compiled_assess(source, a, new, b, now, c, old, position, trial, control, found):
     def run(source, a, new, b, now, c, old, position, trial, control, found):
         _assess_at(
-            source.assess_at, a, new, b, now, c, old, position, trial, control.rtol, control.atol,
+            source.assess_at,
+            a,
+            new,
+            b,
+            now,
+            c,
+            old,
+            position,
+            trial,
+            control.rtol,
+            control.atol,
             found,
-        )  # fmt: skip
+        )
         return _overall(found, position.size)
 
     return run

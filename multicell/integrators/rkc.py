@@ -68,14 +68,23 @@ def _of_stages(stages: int) -> MethodInfo | None:
     from multicell.integrators.loops.chebyshev import stable_length
 
     return MethodInfo(
-        f"rkc2-{stages}", f"Runge-Kutta-Chebyshev of {stages} stages with a fixed step", "step",
-        order=2, stable=float(stable_length(stages)), make=partial(Rkc2, stages=stages),
-    )  # fmt: skip
+        f"rkc2-{stages}",
+        f"Runge-Kutta-Chebyshev of {stages} stages with a fixed step",
+        "step",
+        order=2,
+        stable=float(stable_length(stages)),
+        make=partial(Rkc2, stages=stages),
+    )
 
 
 Rkc2.info = MethodInfo(
-    "rkc2", "explicit, stabilised: Runge-Kutta-Chebyshev of order 2 under error control",
-    "tolerance", order=2, colour="#e8590c", marker="X", variant=_of_stages,
+    "rkc2",
+    "explicit, stabilised: Runge-Kutta-Chebyshev of order 2 under error control",
+    "tolerance",
+    order=2,
+    colour="#e8590c",
+    marker="X",
+    variant=_of_stages,
     source="sommeijer1998",
-)  # fmt: skip
+)
 METHODS = (Rkc2,)

@@ -61,10 +61,18 @@ class Rosenbrock(ErrorControl):
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
-        "rosenbrock", "implicit, one step: Rosenbrock method of order 2, conjugate gradients",
-        "tolerance", order=2, implicit=True, stable=math.inf, colour="#2e1cd2", marker="d",
-        friction=False, atol=0.01, source="shampine1997",
-    )  # fmt: skip
+        "rosenbrock",
+        "implicit, one step: Rosenbrock method of order 2, conjugate gradients",
+        "tolerance",
+        order=2,
+        implicit=True,
+        stable=math.inf,
+        colour="#2e1cd2",
+        marker="d",
+        friction=False,
+        atol=0.01,
+        source="shampine1997",
+    )
 
     atol: float = info.atol
     worst: float = 25.0

@@ -380,7 +380,5 @@ class Walk:
 
 def _depends_on_time(motion: Motion) -> bool:
     """Return whether velocities change while no cell moves."""
-    changing = (
-        motion.radius_rate, motion.bonds, motion.push, motion.velocity
-    )  # fmt: skip
+    changing = (motion.radius_rate, motion.bonds, motion.push, motion.velocity)
     return any(values is not None and bool(np.any(values)) for values in changing)

@@ -111,9 +111,15 @@ class Euler(_Fixed):
     """x ← x + Δt v(t, x), order 1, stable for Δt < 2/λ_max; parameters as :class:`EqualSteps`."""
 
     info: ClassVar[MethodInfo] = MethodInfo(
-        "euler", "explicit Euler with a fixed step", "step", order=1, stable=2.0,
-        colour="#2f6fb0", marker="o", meant=("forward-euler", "explicit-euler"),
-    )  # fmt: skip
+        "euler",
+        "explicit Euler with a fixed step",
+        "step",
+        order=1,
+        stable=2.0,
+        colour="#2f6fb0",
+        marker="o",
+        meant=("forward-euler", "explicit-euler"),
+    )
     tableau: ClassVar[Tableau] = EULER
 
 
@@ -123,9 +129,14 @@ class Heun(_Fixed):
     """Heun's method, order 2, stable for Δt < 2/λ_max; parameters as :class:`EqualSteps`."""
 
     info: ClassVar[MethodInfo] = MethodInfo(
-        "heun", "explicit Runge-Kutta of order 2 with a fixed step", "step", order=2, stable=2.0,
-        colour="#4b3a8e", marker="^",
-    )  # fmt: skip
+        "heun",
+        "explicit Runge-Kutta of order 2 with a fixed step",
+        "step",
+        order=2,
+        stable=2.0,
+        colour="#4b3a8e",
+        marker="^",
+    )
     tableau: ClassVar[Tableau] = HEUN
 
 
@@ -135,9 +146,14 @@ class RungeKutta4(_Fixed):
     """The classical method, order 4, stable for Δt < 2.785/λ_max; as :class:`EqualSteps`."""
 
     info: ClassVar[MethodInfo] = MethodInfo(
-        "rk4", "explicit Runge-Kutta of order 4 with a fixed step", "step", order=4, stable=2.785,
-        colour="#943180", marker="v",
-    )  # fmt: skip
+        "rk4",
+        "explicit Runge-Kutta of order 4 with a fixed step",
+        "step",
+        order=4,
+        stable=2.785,
+        colour="#943180",
+        marker="v",
+    )
     tableau: ClassVar[Tableau] = RUNGE_KUTTA_4
 
 
@@ -147,9 +163,13 @@ class AdaptiveEuler(_Adaptive):
     """Euler under error control, its distance from Heun's result being the estimate."""
 
     info: ClassVar[MethodInfo] = MethodInfo(
-        "euler-adaptive", "explicit Euler under error control", "tolerance", order=1,
-        colour="#74b0e4", marker="s",
-    )  # fmt: skip
+        "euler-adaptive",
+        "explicit Euler under error control",
+        "tolerance",
+        order=1,
+        colour="#74b0e4",
+        marker="s",
+    )
     tableau: ClassVar[Tableau] = EULER_HEUN
     estimate: ClassVar[float] = 2.0
     lower: ClassVar[int] = 1
@@ -165,9 +185,14 @@ class AdaptiveRungeKutta4(_Adaptive):
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
-        "rk4-adaptive", "explicit Runge-Kutta of order 4 under error control", "tolerance",
-        order=4, colour="#d6c400", marker=">", atol=0.01,
-    )  # fmt: skip
+        "rk4-adaptive",
+        "explicit Runge-Kutta of order 4 under error control",
+        "tolerance",
+        order=4,
+        colour="#d6c400",
+        marker=">",
+        atol=0.01,
+    )
     atol: float = info.atol
     tableau: ClassVar[Tableau] = RUNGE_KUTTA_4_3
     estimate: ClassVar[float] = 4.0
@@ -182,10 +207,15 @@ class Dopri5(_Adaptive):
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
-        "dopri5", "explicit Runge-Kutta of Dormand and Prince, order 5, under error control",
-        "tolerance", order=5, colour="#14919b", marker="P", atol=0.01,
+        "dopri5",
+        "explicit Runge-Kutta of Dormand and Prince, order 5, under error control",
+        "tolerance",
+        order=5,
+        colour="#14919b",
+        marker="P",
+        atol=0.01,
         meant=("ode45", "rk45", "dormand-prince"),
-    )  # fmt: skip
+    )
     atol: float = info.atol
     tableau: ClassVar[Tableau] = DORMAND_PRINCE
     estimate: ClassVar[float] = 5.0
@@ -214,9 +244,13 @@ class MultirateEuler(ErrorControl):
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
-        "multirate-euler", "explicit Euler under error control, shorter steps for fast cells",
-        "tolerance", order=1, colour="#6f9c3d", marker="d",
-    )  # fmt: skip
+        "multirate-euler",
+        "explicit Euler under error control, shorter steps for fast cells",
+        "tolerance",
+        order=1,
+        colour="#6f9c3d",
+        marker="d",
+    )
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""

@@ -26,28 +26,53 @@ _LEAST_RTOL = 100.0 * sys.float_info.epsilon  # SciPy raises smaller ones to thi
 
 _INFOS = {
     "RK45": MethodInfo(
-        "scipy-rk45", "outside reference: SciPy's RK45", order=5, colour="#8b8f94", marker="o",
+        "scipy-rk45",
+        "outside reference: SciPy's RK45",
+        order=5,
+        colour="#8b8f94",
+        marker="o",
     ),
     "DOP853": MethodInfo(
-        "scipy-dop853", "outside reference: SciPy's DOP853", order=8, colour="#5c6166", marker="s",
+        "scipy-dop853",
+        "outside reference: SciPy's DOP853",
+        order=8,
+        colour="#5c6166",
+        marker="s",
     ),
     "LSODA": MethodInfo(
-        "scipy-lsoda", "outside reference: SciPy's LSODA, up to 1000 cells", implicit=True,
-        colour="#a78473", marker="^", friction=False, most_cells=1000,
+        "scipy-lsoda",
+        "outside reference: SciPy's LSODA, up to 1000 cells",
+        implicit=True,
+        colour="#a78473",
+        marker="^",
+        friction=False,
+        most_cells=1000,
         why_no_more="its Jacobian is a full matrix of 9 n² numbers",
     ),
     "Radau": MethodInfo(
-        "scipy-radau", "outside reference: SciPy's Radau, up to 3000 cells", order=5,
-        implicit=True, stable=math.inf, colour="#abb3b4", marker="D", friction=False,
+        "scipy-radau",
+        "outside reference: SciPy's Radau, up to 3000 cells",
+        order=5,
+        implicit=True,
+        stable=math.inf,
+        colour="#abb3b4",
+        marker="D",
+        friction=False,
         most_cells=3000,
         why_no_more="it factorises a real and a complex matrix with a growing fill",
     ),
     "BDF": MethodInfo(
-        "scipy-bdf", "outside reference: SciPy's BDF, up to 6000 cells", implicit=True,
-        stable=math.inf, colour="#685632", marker="v", friction=False, most_cells=6000,
+        "scipy-bdf",
+        "outside reference: SciPy's BDF, up to 6000 cells",
+        implicit=True,
+        stable=math.inf,
+        colour="#685632",
+        marker="v",
+        friction=False,
+        most_cells=6000,
         why_no_more="its factors would fill the memory",
     ),
-}  # fmt: skip
+}
 
 
 @final
@@ -102,10 +127,15 @@ class _Stepped:
             options["jac"] = self.full if method.name == "LSODA" else self.sparse
         self.factorised = 0
         self.solver = getattr(integrate, method.name)(
-            self.velocity, 0.0, run.position.ravel(), run.left,
-            rtol=max(run.share * method.rtol, _LEAST_RTOL), atol=run.share * method.atol,
-            max_step=ceiling or np.inf, **options,
-        )  # fmt: skip
+            self.velocity,
+            0.0,
+            run.position.ravel(),
+            run.left,
+            rtol=max(run.share * method.rtol, _LEAST_RTOL),
+            atol=run.share * method.atol,
+            max_step=ceiling or np.inf,
+            **options,
+        )
 
     def close(self) -> None:
         """Empty SciPy's solver, whose functions hold it and this object."""

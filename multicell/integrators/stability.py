@@ -106,9 +106,13 @@ def add_measurement(known: Stability, rate: float, product: float, cells: int) -
     """Add a measurement of λ; see :func:`is_due`."""
     ratio = rate / product
     return known._replace(
-        rate=rate, latest=ratio, largest=max(ratio, known.largest), measured=known.measured + 1.0,
-        beyond=known.beyond + (ratio > 1.0), spent=known.spent + _cost(cells, _PASSES),
-    )  # fmt: skip
+        rate=rate,
+        latest=ratio,
+        largest=max(ratio, known.largest),
+        measured=known.measured + 1.0,
+        beyond=known.beyond + (ratio > 1.0),
+        spent=known.spent + _cost(cells, _PASSES),
+    )
 
 
 def rate_at(system: Mechanics, time: float, position: FloatArray, dimensions: int) -> float:

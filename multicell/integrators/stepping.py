@@ -198,17 +198,31 @@ def _evaluation(source, pairs, elapsed, position, out):
     source.counts[EVALUATIONS] += 1
     cells = source.cells
     while _forces_at(
-        source.forces_at, cells, pairs, source.law, position, elapsed, True,
-        source.rows, out,
-    ):  # fmt: skip
+        source.forces_at,
+        cells,
+        pairs,
+        source.law,
+        position,
+        elapsed,
+        True,
+        source.rows,
+        out,
+    ):
         if not _is_finite(position):
             return NOT_FINITE, pairs
         found, listed = updating.update_list(
-            source.rebuild_at, source.repair_at, position, cells.reference, source.reach,
-            cells.margin, source.least_margin, cells.chunk,
+            source.rebuild_at,
+            source.repair_at,
+            position,
+            cells.reference,
+            source.reach,
+            cells.margin,
+            source.least_margin,
+            cells.chunk,
             (pairs.first, pairs.second, pairs.start, pairs.inner_end, pairs.outer_end),
-            pairs.first, pairs.second,
-        )  # fmt: skip
+            pairs.first,
+            pairs.second,
+        )
         source.counts[LIST_REPAIRS if found == updating.REPAIRED else LIST_BUILDS] += 1
         if found == updating.TOO_CROWDED:
             return REJECTED, pairs
@@ -278,10 +292,19 @@ def stepping_kernels(
     run = forces.forces_parallel if shared else forces.forces
     known: dict[str, tuple[Any, ...]] = {
         "forces_at": (
-            run, True, source.cells, pairs, source.law, place, 0.0, True, source.rows, place
+            run,
+            True,
+            source.cells,
+            pairs,
+            source.law,
+            place,
+            0.0,
+            True,
+            source.rows,
+            place,
         ),
         "evaluation_at": (_EVALUATION, (0, pairs), source, pairs, 0.0, place, place),
-    }  # fmt: skip
+    }
     known |= updating.kernel_calls(
         place, source.reach, source.cells.chunk, pairs[:5], shared=shared
     )

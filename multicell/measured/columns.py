@@ -34,9 +34,16 @@ _ROW: Final = ("time", "start", "depth", "label", "specimen")
 _TIMES: Final = {"day": "d", "days": "d", "hour": "h", "hours": "h"}
 """Units of times by titles without one."""
 _WORDS: Final = {
-    "std": "sd", "stdev": "sd", "std dev": "sd", "stddev": "sd", "standard deviation": "sd",
-    "se": "sem", "std err": "sem", "stderr": "sem", "standard error": "sem",
-}  # fmt: skip
+    "std": "sd",
+    "stdev": "sd",
+    "std dev": "sd",
+    "stddev": "sd",
+    "standard deviation": "sd",
+    "se": "sem",
+    "std err": "sem",
+    "stderr": "sem",
+    "standard error": "sem",
+}
 """Other words for errors."""
 _SIZES: Final = ("area", "volume")
 """Titles of what says a diameter: that of the disc or ball of this size."""

@@ -56,8 +56,12 @@ class MeasuredComparison:
     @cached_property
     def _scaled(self) -> FloatArray:
         """The runs on the scales of comparison, (k, n)."""
-        return np.array([[d.scaled(v) for d, v in zip(self.data, run, strict=True)]
-                         for run in self.runs.tolist()])  # fmt: skip
+        return np.array(
+            [
+                [d.scaled(v) for d, v in zip(self.data, run, strict=True)]
+                for run in self.runs.tolist()
+            ]
+        )
 
     @cached_property
     def model(self) -> FloatArray:
@@ -95,13 +99,17 @@ class MeasuredComparison:
         """Return a row for each datum: observable, time in s, measured, sd, model, residual."""
         return [
             {
-                "observable": datum.observable, "unit": self.units[datum.observable],
+                "observable": datum.observable,
+                "unit": self.units[datum.observable],
                 "time_s": math.nan if datum.time is None else datum.time,
-                "measured": datum.value, "sd": datum.deviation, "model": float(model),
-                "residual": float(z), "place": datum.place,
+                "measured": datum.value,
+                "sd": datum.deviation,
+                "model": float(model),
+                "residual": float(z),
+                "place": datum.place,
             }
             for datum, model, z in zip(self.data, self.model, self.residuals, strict=True)
-        ]  # fmt: skip
+        ]
 
     def to_pandas(self) -> DataFrame:
         """Return :meth:`rows` as a table."""
@@ -152,8 +160,10 @@ def compare_runs(
         raise DataError(measured.source, problem, "Times count from the start of the run.")
     if not known.all():
         first = next(d for d, found in zip(data, known.tolist(), strict=True) if not found)
-        notes += [f"{int((~known).sum())} data have nothing to compare with, the first one "
-                  f"{first.observable} in {first.place}"]  # fmt: skip
+        notes += [
+            f"{int((~known).sum())} data have nothing to compare with, the first one "
+            f"{first.observable} in {first.place}"
+        ]
     kept = tuple(d for d, found in zip(data, known.tolist(), strict=True) if found)
     if any(datum.assumed for datum in kept):
         notes += [f"data without an error have one of {100.0 * sd:g} %"]
@@ -167,9 +177,10 @@ def compare_runs(
 def _of_scene(measured: Measured, scene: Scene) -> tuple[list[Datum], list[str]]:
     """Return the data that were measured under the conditions of a scene, without profiles."""
     same = {
-        k for k, condition in enumerate(measured.conditions)
+        k
+        for k, condition in enumerate(measured.conditions)
         if replace(condition.scene, duration=scene.duration) == scene
-    }  # fmt: skip
+    }
     data = [datum for datum in measured.data if datum.condition in same]
     if not data:
         listed = "; ".join(condition.label for condition in measured.conditions[:4])

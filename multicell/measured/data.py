@@ -277,9 +277,14 @@ class _Rows:
         return found
 
     def _datum(
-        self, row: int, column: DataColumn, numbers: Mapping[tuple[str, str], float], where: str,
-        condition: int, time: float | None,
-    ) -> Datum:  # fmt: skip
+        self,
+        row: int,
+        column: DataColumn,
+        numbers: Mapping[tuple[str, str], float],
+        where: str,
+        condition: int,
+        time: float | None,
+    ) -> Datum:
         """Return a datum with what it is compared in."""
         value, given, mean, count = (
             numbers.get((kind, column.name)) for kind in ("value", "sd", "sem", "n")
@@ -304,8 +309,11 @@ class _Rows:
                 diameter = numbers.get(("value", "diameter"), 0.0)
                 size = numbers.get(("value", "radius")) or 0.5 * diameter or None
             if log or size is None:
-                raise DataError(where, "is 0, of which a relative standard deviation says nothing",
-                                f"Add a column '{column.name} sd' with its unit.")  # fmt: skip
+                raise DataError(
+                    where,
+                    "is 0, of which a relative standard deviation says nothing",
+                    f"Add a column '{column.name} sd' with its unit.",
+                )
             sigma = self._scenes[condition].cells.division_radius / size
         elif relative is None:
             assert given is not None
@@ -313,9 +321,16 @@ class _Rows:
         else:
             sigma = relative if log else relative * abs(value)
         return Datum(
-            column.name, value, sigma / math.sqrt(count or 1.0), log, given is None, time,
-            condition, self._table.places[row], tissues,
-        )  # fmt: skip
+            column.name,
+            value,
+            sigma / math.sqrt(count or 1.0),
+            log,
+            given is None,
+            time,
+            condition,
+            self._table.places[row],
+            tissues,
+        )
 
     def _time(self, row: int, numbers: Mapping[tuple[str, str], float]) -> float | None:
         """Return the simulated time of a row; None: at the end."""

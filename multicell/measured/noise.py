@@ -168,10 +168,14 @@ def _merge(rows: Sequence[Datum], table: str) -> Datum:
             problem = f"measures '{first.observable}' of a specimen for the second time"
             raise DataError(f"{table}, {rows[k].place}", problem)
     return replace(
-        first, value=math.exp(mean) if first.log else mean, sigma=error,
-        assumed=any(d.assumed for d in rows), place=f"{first.place} and {len(rows) - 1} more",
-        tissues=sum(d.tissues for d in rows), specimens=tuple(named),
-    )  # fmt: skip
+        first,
+        value=math.exp(mean) if first.log else mean,
+        sigma=error,
+        assumed=any(d.assumed for d in rows),
+        place=f"{first.place} and {len(rows) - 1} more",
+        tissues=sum(d.tissues for d in rows),
+        specimens=tuple(named),
+    )
 
 
 def _scattered(data: Sequence[Datum]) -> list[Datum]:

@@ -161,8 +161,9 @@ def _incucyte(table: Table, above: Sequence[str]) -> tuple[Table, ColumnMap]:
 
     Raises DataError where the lines above the titles state no length, area or volume.
     """
-    metric = next((line.partition(":")[2].strip(" \t,;") for line in above
-                   if line.startswith("Metric")), "")  # fmt: skip
+    metric = next(
+        (line.partition(":")[2].strip(" \t,;") for line in above if line.startswith("Metric")), ""
+    )
     unit = split_title(metric)[1]
     sized = any(unit and unit_factor(unit, f"um^{power}") is not None for power in (1, 2, 3))
     if not sized:

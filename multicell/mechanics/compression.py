@@ -228,9 +228,14 @@ class TissueCompression:
         )
 
     def pressed(
-        self, rows: FloatArray, pairs: Any, chunk: int,
-        walls: Walls | Sphere | None, *, shared: bool = False,
-    ) -> Pressed:  # fmt: skip
+        self,
+        rows: FloatArray,
+        pairs: Any,
+        chunk: int,
+        walls: Walls | Sphere | None,
+        *,
+        shared: bool = False,
+    ) -> Pressed:
         """Return compression and pressure of all cells at a state; walls that yield do so."""
         taken = np.empty(len(rows))
         _LENSES[shared](chunk, rows, pairs, taken)
@@ -245,9 +250,16 @@ class TissueCompression:
         return Pressed(taken, self.law(taken)[1], contacts)
 
     def add_forces(
-        self, rows: FloatArray, pairs: Any, pressed: Pressed,
-        drag: float, out: FloatArray, virials: FloatArray, *, shared: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        rows: FloatArray,
+        pairs: Any,
+        pressed: Pressed,
+        drag: float,
+        out: FloatArray,
+        virials: FloatArray,
+        *,
+        shared: bool = False,
+    ) -> None:
         """Add forces, nN, or with a ``drag`` 6πη velocities; and half virials, nN µm."""
         pressure = pressed.pressure
         if not pressure.any():
@@ -279,9 +291,13 @@ class TissueCompression:
         return float(SPHERE * (cubes(rows[:, RADIUS]) * self.law(pressed.compression)[0]).sum())
 
     def linearise(
-        self, rows: FloatArray, pressed: Pressed,
-        linear: Linearisation, *, shared: bool = False,
-    ) -> Coupling:  # fmt: skip
+        self,
+        rows: FloatArray,
+        pressed: Pressed,
+        linear: Linearisation,
+        *,
+        shared: bool = False,
+    ) -> Coupling:
         """Add the stiffness at fixed pressures to a linearisation; return what is left."""
         slope, found = np.zeros(len(linear.along)), pressed.contacts
         _SOFTEN[shared](rows, linear.data, pressed.pressure, slope, linear.along, linear.across)
@@ -298,9 +314,15 @@ class TissueCompression:
         return Coupling(slope, weight, found, area)
 
     def add_yielding(
-        self, chunk: int, rows: FloatArray, linear: Linearisation, pressed: Pressed,
-        out: FloatArray, *, shared: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        chunk: int,
+        rows: FloatArray,
+        linear: Linearisation,
+        pressed: Pressed,
+        out: FloatArray,
+        *,
+        shared: bool = False,
+    ) -> None:
         """Add the derivative of the forces by the radius of a spherical wall, (n, 3) nN/µm."""
         found, still = pressed.contacts, np.zeros_like(out)
         assert found is not None
@@ -309,9 +331,17 @@ class TissueCompression:
         self.add_products(chunk, rows, linear, 0.0, still, out, shared=shared, widened=1.0)
 
     def add_products(
-        self, chunk: int, rows: FloatArray, linear: Linearisation, drag: float,
-        vector: FloatArray, out: FloatArray, *, shared: bool = False, widened: float = 0.0,
-    ) -> None:  # fmt: skip
+        self,
+        chunk: int,
+        rows: FloatArray,
+        linear: Linearisation,
+        drag: float,
+        vector: FloatArray,
+        out: FloatArray,
+        *,
+        shared: bool = False,
+        widened: float = 0.0,
+    ) -> None:
         """Add what the change of pressures does along ``vector``, (n, 3), to forces or velocities.
 
         - ``widened``, µm: how far a spherical wall goes outwards meanwhile
@@ -327,9 +357,16 @@ class TissueCompression:
             deeper = (found.normal * vector[found.cell]).sum(axis=1) - widened
             np.add.at(change, found.cell, coupling.area * deeper)
         _PRODUCTS[shared](
-            chunk, linear.data, linear.normal, coupling.slope, coupling.weight, mobility,
-            vector, change, out,
-        )  # fmt: skip
+            chunk,
+            linear.data,
+            linear.normal,
+            coupling.slope,
+            coupling.weight,
+            mobility,
+            vector,
+            change,
+            out,
+        )
         if found is not None:
             force = change[found.cell] * coupling.area * mobility[found.cell]
             np.subtract.at(out, found.cell, force[:, None] * found.normal)

@@ -328,11 +328,17 @@ def _evaluate(pairs, law, elapsed, begin, count, block, slope):
         modulus = w * block[_TOTAL, p] * d
         radius = block[_PRODUCT, p] * (w * block[_SOFT, p] * d)
         force, stiffness, _ = evaluate_pair(
-            law, h, modulus, radius, block[_TOTAL, p],
+            law,
+            h,
+            modulus,
+            radius,
+            block[_TOTAL, p],
             _at(pairs.sticky, begin + p, law.adhesion_constant),
-            _unit_at(pairs.unit, begin + p, elapsed), _at(pairs.onset, begin + p, 0.0),
-            slope, None,
-        )  # fmt: skip
+            _unit_at(pairs.unit, begin + p, elapsed),
+            _at(pairs.onset, begin + p, 0.0),
+            slope,
+            None,
+        )
         pull, fall = _bonded(law.bond_strength, block[_BONDS, p], h, radius)
         over = (force - pull) * (w * block[_TOTAL, p] * block[_SOFT, p])
         block[_FORCE, p] = over
@@ -443,10 +449,17 @@ def _energy_between(rows, i, j, pairs, p, law, elapsed):
     total = rows[i, RADIUS] + rows[j, RADIUS]
     h, radius = total - d, rows[i, RADIUS] * rows[j, RADIUS] / total
     _, _, energy = evaluate_pair(
-        law, h, 1.0 / (rows[i, COMPLIANCE] + rows[j, COMPLIANCE]), radius, total,
-        _at(pairs.sticky, p, law.adhesion_constant), _unit_at(pairs.unit, p, elapsed),
-        _at(pairs.onset, p, 0.0), True, True,
-    )  # fmt: skip
+        law,
+        h,
+        1.0 / (rows[i, COMPLIANCE] + rows[j, COMPLIANCE]),
+        radius,
+        total,
+        _at(pairs.sticky, p, law.adhesion_constant),
+        _unit_at(pairs.unit, p, elapsed),
+        _at(pairs.onset, p, 0.0),
+        True,
+        True,
+    )
     _, fall = _bonded(law.bond_strength, _bonds_of(law.bond_strength, rows, i, j), h, radius)
     return energy - 0.5 * fall * h * h
 
@@ -758,9 +771,7 @@ def _product_chunk(c, chunk, rows, pairs, normal, along, across, drag, v, out):
         begin = pairs.start[c] if side == 0 else pairs.inner_end[c]
         end = pairs.inner_end[c] if side == 0 else pairs.outer_end[c]
         for p in range(begin, end - 3, 4):
-            _pull_four(
-                pairs.first, pairs.second, p, low, side == 0, normal, along, across, v, sums
-            )  # fmt: skip
+            _pull_four(pairs.first, pairs.second, p, low, side == 0, normal, along, across, v, sums)
         for p in range(end - (end - begin) % 4, end):
             i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
             stretch = 0.0

@@ -313,9 +313,14 @@ class FrictionMatrix:
     """
 
     def __init__(
-        self, coefficients: tuple[float, float], n: int, drag: float, chunk: int, *,
+        self,
+        coefficients: tuple[float, float],
+        n: int,
+        drag: float,
+        chunk: int,
+        *,
         tolerance: float = 1e-6,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.coefficients, self.drag, self.chunk = coefficients, drag, chunk
         self.tolerance = tolerance
         self._stokes, self._inverse = np.empty(n), np.empty(n)
@@ -335,19 +340,30 @@ class FrictionMatrix:
             sign = float(np.sign(normal - tangential))
             room, chunks = len(pairs.first), len(pairs.start)
             self.gamma = Gamma(
-                self.chunk, sign, pairs.start, np.empty((chunks, 2), dtype=np.int64),
-                np.empty((room, 2), dtype=np.int32), np.empty((room, 4 if sign else 1)),
-                self._stokes, self._inverse,
-            )  # fmt: skip
+                self.chunk,
+                sign,
+                pairs.start,
+                np.empty((chunks, 2), dtype=np.int64),
+                np.empty((room, 2), dtype=np.int32),
+                np.empty((room, 4 if sign else 1)),
+                self._stokes,
+                self._inverse,
+            )
             self._part = np.empty((chunks, 3))
             self._pairs = pairs
         self._shared = shared
         run = measure_parallel if shared else measure
         ends = pairs.inner_end, pairs.outer_end
         run(
-            self.gamma, pairs.first, pairs.second, *ends, rows, normal, tangential,
+            self.gamma,
+            pairs.first,
+            pairs.second,
+            *ends,
+            rows,
+            normal,
+            tangential,
             self.drag,
-        )  # fmt: skip
+        )
 
     def apply(self, vector: FloatArray, out: FloatArray) -> None:
         """Write Γ v, nN, for ``vector`` in µm/s."""
@@ -376,8 +392,15 @@ class FrictionMatrix:
             self._work.w[:] = 0.0
         run: Any = conjugate_gradients_parallel if self._shared else conjugate_gradients
         steps, left, scale = run(
-            gamma, force, wanted, _MOST, warm, self._work, self._part, velocity,
-        )  # fmt: skip
+            gamma,
+            force,
+            wanted,
+            _MOST,
+            warm,
+            self._work,
+            self._part,
+            velocity,
+        )
         if scale == 0.0:
             # nothing pushes: no relative tolerance could be met from a guess that moves
             velocity[:] = 0.0
@@ -413,9 +436,13 @@ class PairFriction:
         self.force = np.empty((n, 3))
 
     def velocity(
-        self, rows: FloatArray, pairs: PairList, shared: bool, out: FloatArray,
+        self,
+        rows: FloatArray,
+        pairs: PairList,
+        shared: bool,
+        out: FloatArray,
         given: Prescribed | None = None,
-    ) -> int:  # fmt: skip
+    ) -> int:
         """Write the solution of Γ v = ``force``, µm/s; return the iterations it took.
 
         With ``given`` Γ_ff v_f = F_f - Γ_fh v_h is solved; zero is written for held cells.

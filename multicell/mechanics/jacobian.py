@@ -58,10 +58,16 @@ def limited(system: Mechanics, fraction: float) -> tuple[Linearisation, float]:
     linear = replace(linear, along=linear.along.copy())
     stiffest = float(
         limit_softening(
-            system.rows, pairs.first, pairs.second, pairs.start, pairs.outer_end, fraction,
-            linear.along, linear.across,
+            system.rows,
+            pairs.first,
+            pairs.second,
+            pairs.start,
+            pairs.outer_end,
+            fraction,
+            linear.along,
+            linear.across,
         )
-    )  # fmt: skip
+    )
     return linear, max(stiffest, float(linear.walls.max(initial=0.0)))
 
 

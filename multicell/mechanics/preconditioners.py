@@ -56,9 +56,25 @@ def _link(p, gamma, along, across):
 
 @njit(**KERNEL)
 def _collect_chunk(
-    c, chunk, rows, first, second, start, inner_end, outer_end, normal, along, across,
-    gamma, drag, walls, begin, near, link, blocks,
-):  # fmt: skip
+    c,
+    chunk,
+    rows,
+    first,
+    second,
+    start,
+    inner_end,
+    outer_end,
+    normal,
+    along,
+    across,
+    gamma,
+    drag,
+    walls,
+    begin,
+    near,
+    link,
+    blocks,
+):
     """Write the diagonal blocks of one chunk of M, and its inner pairs that touch.
 
     ``walls`` is the stiffness of each cell's walls along the axes, or has no rows.
@@ -120,15 +136,46 @@ def _invert(blocks, i):
 
 
 def _factor(
-    chunk, rows, first, second, start, inner_end, outer_end, normal, along, across,
-    gamma, drag, walls, begin, near, link, blocks,
-):  # fmt: skip
+    chunk,
+    rows,
+    first,
+    second,
+    start,
+    inner_end,
+    outer_end,
+    normal,
+    along,
+    across,
+    gamma,
+    drag,
+    walls,
+    begin,
+    near,
+    link,
+    blocks,
+):
     """Prepare the sweeps for a γ at the linearisation given by its pairs."""
     for c in prange(start.size):
         _collect_chunk(
-            c, chunk, rows, first, second, start, inner_end, outer_end, normal, along, across,
-            gamma, drag, walls, begin, near, link, blocks,
-        )  # fmt: skip
+            c,
+            chunk,
+            rows,
+            first,
+            second,
+            start,
+            inner_end,
+            outer_end,
+            normal,
+            along,
+            across,
+            gamma,
+            drag,
+            walls,
+            begin,
+            near,
+            link,
+            blocks,
+        )
         for i in range(c * chunk, min((c + 1) * chunk, blocks.shape[0])):
             _invert(blocks, i)
 
@@ -205,10 +252,24 @@ class Sweeps:
         self._chunks = len(pairs.start)
         factor, self._run = _DRIVERS[system.shared(self._chunks)]
         factor(
-            system.chunk, system.weighed_rows, pairs.first, pairs.second, pairs.start,
-            pairs.inner_end, pairs.outer_end, linear.normal, linear.along, linear.across, gamma,
-            system.drag, linear.walls, self._begin, self._near, self._link, self._blocks,
-        )  # fmt: skip
+            system.chunk,
+            system.weighed_rows,
+            pairs.first,
+            pairs.second,
+            pairs.start,
+            pairs.inner_end,
+            pairs.outer_end,
+            linear.normal,
+            linear.along,
+            linear.across,
+            gamma,
+            system.drag,
+            linear.walls,
+            self._begin,
+            self._near,
+            self._link,
+            self._blocks,
+        )
 
     def precondition(self, vector: FloatArray, out: FloatArray) -> None:
         """Write the approximate solution for ``vector``, both (n, 3)."""
@@ -218,8 +279,16 @@ class Sweeps:
         free = vector.view() if given is None else given.released(vector)
         free.flags.writeable = False
         self._run(
-            self._chunks, system.chunk, system.weighed_rows, system.drag, self._begin, self._near,
-            self._link, self._blocks, free, out,
-        )  # fmt: skip
+            self._chunks,
+            system.chunk,
+            system.weighed_rows,
+            system.drag,
+            self._begin,
+            self._near,
+            self._link,
+            self._blocks,
+            free,
+            out,
+        )
         if given is not None:
             out[given.held] = vector[given.held]

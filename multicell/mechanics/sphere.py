@@ -83,9 +83,14 @@ class Sphere:
         self.radius, self._bend = guess, bend
 
     def _excess(
-        self, wall: float, reach: FloatArray, radius: FloatArray, soft: FloatArray,
-        compression: TissueCompression | None, lenses: FloatArray | None,
-    ) -> tuple[float, float]:  # fmt: skip
+        self,
+        wall: float,
+        reach: FloatArray,
+        radius: FloatArray,
+        soft: FloatArray,
+        compression: TissueCompression | None,
+        lenses: FloatArray | None,
+    ) -> tuple[float, float]:
         """Return N - 4π R² p of a radius R, nN, and minus its derivative, b."""
         h = np.maximum(reach - wall, 0.0)
         strength = np.sqrt(radius) / (soft + self.soft)
@@ -160,9 +165,13 @@ class Sphere:
         virials[found.cell] += force * found.distance
 
     def subtract_products(
-        self, rows: FloatArray, stiffness: FloatArray, drag: float, vector: FloatArray,
+        self,
+        rows: FloatArray,
+        stiffness: FloatArray,
+        drag: float,
+        vector: FloatArray,
         out: FloatArray,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Take K v with :meth:`stiffness` from forces; over drag times radius from velocities."""
         xx, yy, zz, xy, xz, yz = stiffness.T
         x, y, z = vector.T

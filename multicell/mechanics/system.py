@@ -152,9 +152,14 @@ class Mechanics:
             shared=self.shared(-(-n // self.chunk)),
         )
         self._cells = forces.CellData(
-            self.chunk, self.neighbours.margin, self.neighbours.reference, motion.radius,
-            motion.radius_rate, motion.bonds, motion.push,
-        )  # fmt: skip
+            self.chunk,
+            self.neighbours.margin,
+            self.neighbours.reference,
+            motion.radius,
+            motion.radius_rate,
+            motion.bonds,
+            motion.push,
+        )
         self._linear = None
         self._watched: tuple[PairList | None, float, NDArray[np.int64]]
         self._watched = None, 0.0, _NO_PLACES
@@ -207,9 +212,14 @@ class Mechanics:
         linear = self._linear
         run = forces.linearise_parallel if self._shared(pairs) else forces.linearise
         run(
-            self._rows, self._pair_data, self._law, time - self.motion.begin,
-            linear.normal, linear.along, linear.across,
-        )  # fmt: skip
+            self._rows,
+            self._pair_data,
+            self._law,
+            time - self.motion.begin,
+            linear.normal,
+            linear.along,
+            linear.across,
+        )
         linear.data = self._pair_data
         pressed = self._settle_pressures(pairs)
         if self.walls is not None:
@@ -219,9 +229,13 @@ class Mechanics:
             shared = self._shared(pairs)
             linear.coupling = self.compression.linearise(self._rows, pressed, linear, shared=shared)
             add_pressures = partial(
-                self.compression.add_yielding, self.chunk, self._rows, linear, pressed,
+                self.compression.add_yielding,
+                self.chunk,
+                self._rows,
+                linear,
+                pressed,
                 shared=shared,
-            )  # fmt: skip
+            )
         if self.walls is not None:
             linear.yielding = self.walls.yielding(self._rows, add_pressures)
         if self._pair_friction is not None:
@@ -257,16 +271,28 @@ class Mechanics:
         run = forces.products_parallel if self._shared(linear.pairs) else forces.products
         drag = self.drag if self._pair_friction is None else 0.0
         run(
-            self.chunk, self._rows, linear.data, linear.normal, linear.along, linear.across,
-            drag, _frozen(vector), out,
-        )  # fmt: skip
+            self.chunk,
+            self._rows,
+            linear.data,
+            linear.normal,
+            linear.along,
+            linear.across,
+            drag,
+            _frozen(vector),
+            out,
+        )
         if self.walls is not None:
             self.walls.subtract_products(self._rows, linear.walls, drag, _frozen(vector), out)
         if self.compression is not None:
             self.compression.add_products(
-                self.chunk, self._rows, linear, drag, _frozen(vector), out,
+                self.chunk,
+                self._rows,
+                linear,
+                drag,
+                _frozen(vector),
+                out,
                 shared=self._shared(linear.pairs),
-            )  # fmt: skip
+            )
         if linear.yielding is not None:
             force = (linear.yielding * vector).sum() * linear.yielding
             out += force / (drag * self._rows[:, 3, None]) if drag > 0.0 else force
@@ -431,9 +457,15 @@ class Mechanics:
             pairs = self._update(position)
         run = forces.forces_parallel if self._shared(pairs) else forces.forces
         while run(
-            self._cells, self._pair_data, self._law, position, time - self.motion.begin, stokes,
-            self._rows, out,
-        ):  # fmt: skip
+            self._cells,
+            self._pair_data,
+            self._law,
+            position,
+            time - self.motion.begin,
+            stokes,
+            self._rows,
+            out,
+        ):
             pairs = self._update(position)
         pressed = self._settle_pressures(pairs)
         if self.walls is not None:
@@ -450,18 +482,27 @@ class Mechanics:
             return None
         return self.compression.pressed(
             self._rows, self._pair_data, self.chunk, self.walls, shared=self._shared(pairs)
-        )  # fmt: skip
+        )
 
     def _resist(
-        self, pairs: PairList, pressed: Pressed | None, drag: float,
-        out: FloatArray, virials: FloatArray,
-    ) -> None:  # fmt: skip
+        self,
+        pairs: PairList,
+        pressed: Pressed | None,
+        drag: float,
+        out: FloatArray,
+        virials: FloatArray,
+    ) -> None:
         """Add what compressed tissue adds to forces or velocities, and to virials."""
         if self.compression is not None and pressed is not None:
             self.compression.add_forces(
-                self._rows, self._pair_data, pressed, drag, out, virials,
+                self._rows,
+                self._pair_data,
+                pressed,
+                drag,
+                out,
+                virials,
                 shared=self._shared(pairs),
-            )  # fmt: skip
+            )
 
     def _placed(self, time: float, position: FloatArray) -> FloatArray:
         """Return where the cells are: those whose motion is prescribed have gone on."""

@@ -86,10 +86,20 @@ def network(
                 )
         given = inputs if isinstance(inputs, Mapping) else dict.fromkeys(inputs, 0.0)
         own, known = parameters or {}, tuple(events)
-        stated = [dict(states), dict(given), dict(own), tuple(observed), dict(units or {}),
-                  sorted(amounts), time_unit]  # fmt: skip
-        functions = [rates, *filter(None, [observe]),
-                     *(part for e in known for part in (e.trigger, e.assign))]  # fmt: skip
+        stated = [
+            dict(states),
+            dict(given),
+            dict(own),
+            tuple(observed),
+            dict(units or {}),
+            sorted(amounts),
+            time_unit,
+        ]
+        functions = [
+            rates,
+            *filter(None, [observe]),
+            *(part for e in known for part in (e.trigger, e.assign)),
+        ]
         facts = [(e.name, e.persistent, e.initial, e.priority) for e in known]
         text = "\n".join([*map(fingerprint, functions), repr(stated), repr(facts)])
         mark = hashlib.sha256(text.encode()).hexdigest()[:12]

@@ -24,16 +24,49 @@ import numpy as np
 _NAME: Final = re.compile(r"[a-z]\d*|out|y_then|p_then|(rates|observe|initial)|(trigger|assign)\d+")
 _ARRAYS: Final = ("y", "u", "p", "out", "y_then", "p_then")
 _OF_NUMPY: Final = (
-    "arccos", "arccosh", "arcsin", "arcsinh", "arctan", "arctanh", "ceil", "cos", "cosh", "exp",
-    "floor", "fmod", "log", "log10", "sin", "sinh", "sqrt", "tan", "tanh", "trunc",
-)  # fmt: skip
+    "arccos",
+    "arccosh",
+    "arcsin",
+    "arcsinh",
+    "arctan",
+    "arctanh",
+    "ceil",
+    "cos",
+    "cosh",
+    "exp",
+    "floor",
+    "fmod",
+    "log",
+    "log10",
+    "sin",
+    "sinh",
+    "sqrt",
+    "tan",
+    "tanh",
+    "trunc",
+)
 _CALLED: Final = ("abs", "max", "min", "math.gamma", *(f"np.{name}" for name in _OF_NUMPY))
 _VALUES: Final = ("np.inf", "np.nan")
 _NODES: Final = (
-    ast.Module, ast.FunctionDef, ast.arguments, ast.arg, ast.Assign, ast.If, ast.Pass, ast.Return,
-    ast.BinOp, ast.UnaryOp, ast.BoolOp, ast.Compare, ast.IfExp,
-    ast.operator, ast.unaryop, ast.boolop, ast.cmpop, ast.expr_context,
-)  # fmt: skip
+    ast.Module,
+    ast.FunctionDef,
+    ast.arguments,
+    ast.arg,
+    ast.Assign,
+    ast.If,
+    ast.Pass,
+    ast.Return,
+    ast.BinOp,
+    ast.UnaryOp,
+    ast.BoolOp,
+    ast.Compare,
+    ast.IfExp,
+    ast.operator,
+    ast.unaryop,
+    ast.boolop,
+    ast.cmpop,
+    ast.expr_context,
+)
 """Nodes that may stand anywhere; those with names and numbers have checks of their own."""
 
 

@@ -178,9 +178,7 @@ def _locate(common, here, rosenbrock, explicit, implicit, rules, t, h, y, s, con
 
 
 @_inner
-def _cut_at_event(
-    common, here, rosenbrock, explicit, implicit, rules, t, h, y, s, memory
-):  # fmt: skip
+def _cut_at_event(common, here, rosenbrock, explicit, implicit, rules, t, h, y, s, memory):
     """Return the length of a step up to the first event in it, and whether there is one."""
     conditions = memory[REMEMBERED:]
     # the rates at the end are not needed where nothing but the cubic would ask for them
@@ -292,8 +290,9 @@ def _through(common, here, rosenbrock, explicit, rules, control, y, memory, work
         if not fixed:
             # a step that only the end has cut keeps its length
             new = h * longer
-            memory[CELL_STEP] = min(max(new, memory[CELL_STEP]) if longer >= 1.0 else new,
-                               _LONGEST * here.span)  # fmt: skip
+            memory[CELL_STEP] = min(
+                max(new, memory[CELL_STEP]) if longer >= 1.0 else new, _LONGEST * here.span
+            )
             speaks = stiffness < 0.5 * _STIFF if implicit else stiffness > _STIFF
             _weigh(control.mode, memory, implicit, speaks)
         if eventful:
@@ -307,20 +306,39 @@ def _through(common, here, rosenbrock, explicit, rules, control, y, memory, work
 
 @typed(**KERNEL, nogil=True)
 def advance_cells(
-    begin: int, end: int, common: Common, rosenbrock: LinearlyImplicit, explicit: Explicit,
-    rules: EventRules, control: LoopControl, batch: Batch,
-) -> Any:  # fmt: skip
+    begin: int,
+    end: int,
+    common: Common,
+    rosenbrock: LinearlyImplicit,
+    explicit: Explicit,
+    rules: EventRules,
+    control: LoopControl,
+    batch: Batch,
+) -> Any:
     """Bring the cells from ``begin`` to ``end`` (rows) through a coupling step."""
     states, inputs = batch.y.shape[1], batch.before.shape[1]
     s = scratch_of(states, inputs, max(rosenbrock.m.size, explicit.b.size))
     events = event_memory(rules.triggers.size, states, batch.p.shape[1])
     for i in range(begin, end):
         here = Surrounding(
-            batch.before[i], batch.after[i], batch.p[i], batch.growth[i], batch.start[i],
+            batch.before[i],
+            batch.after[i],
+            batch.p[i],
+            batch.growth[i],
+            batch.start[i],
             batch.span[i],
-        )  # fmt: skip
+        )
         status, t = _through(
-            common, here, rosenbrock, explicit, rules, control, batch.y[i], batch.memory[i],
-            batch.work[i], s, events,
-        )  # fmt: skip
+            common,
+            here,
+            rosenbrock,
+            explicit,
+            rules,
+            control,
+            batch.y[i],
+            batch.memory[i],
+            batch.work[i],
+            s,
+            events,
+        )
         batch.status[i], batch.reached[i] = status, t

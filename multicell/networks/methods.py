@@ -154,7 +154,10 @@ METHODS: Final[dict[str, NetworkMethod]] = {
     method.name: method
     for method in (
         NetworkMethod(
-            "auto", AUTO, RODAS3, EXPLICIT_PAIR,
+            "auto",
+            AUTO,
+            RODAS3,
+            EXPLICIT_PAIR,
             "explicit or Rosenbrock, for each cell by its own stiffness",
         ),
         NetworkMethod("rodas3", IMPLICIT, RODAS3, EXPLICIT_PAIR, "Rosenbrock of order 3"),
@@ -165,7 +168,7 @@ METHODS: Final[dict[str, NetworkMethod]] = {
         NetworkMethod("rk4", EXPLICIT, RODAS3, RK4, "explicit, order 4, fixed steps"),
         NetworkMethod("euler", EXPLICIT, RODAS3, FIXED_EULER, "explicit, order 1, fixed steps"),
     )
-}  # fmt: skip
+}
 """The methods of networks by name."""
 
 

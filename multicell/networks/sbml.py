@@ -61,8 +61,9 @@ def network_from_sbml(
     except RecursionError:
         raise SceneError(name, "has a formula that is nested too deeply") from None
     except SceneError as error:
-        raise SceneError(name if not error.path else f"{name}: {error.path}", error.problem,
-                         error.hint) from None  # fmt: skip
+        raise SceneError(
+            name if not error.path else f"{name}: {error.path}", error.problem, error.hint
+        ) from None
 
 
 def _parsed(text: str) -> Any:

@@ -166,20 +166,31 @@ class NetworkSolver:
         """
         count, states = inside.y.shape
         batch = Batch(
-            inside.y.copy(), inside.p.copy(),
-            np.ascontiguousarray(before, dtype=float), np.ascontiguousarray(after, dtype=float),
+            inside.y.copy(),
+            inside.p.copy(),
+            np.ascontiguousarray(before, dtype=float),
+            np.ascontiguousarray(after, dtype=float),
             np.zeros(count) if growth is None else np.ascontiguousarray(growth, dtype=float),
-            np.full(count, start, dtype=float), np.full(count, span, dtype=float),
-            inside.memory.copy(), np.zeros((count, 4), dtype=np.int64),
-            np.zeros(count, dtype=np.int64), np.zeros(count),
-        )  # fmt: skip
+            np.full(count, start, dtype=float),
+            np.full(count, span, dtype=float),
+            inside.memory.copy(),
+            np.zeros((count, 4), dtype=np.int64),
+            np.zeros(count, dtype=np.int64),
+            np.zeros(count),
+        )
         fall = np.zeros(states) if diluted is None else np.ascontiguousarray(diluted, dtype=float)
         common = Common(self._at.rates, self.relative, self.absolute, fall)
         team = self._team.at_most(1 + count // _SHARED)
         team.share(
-            advance_cells, count, common, self.method.rosenbrock, self.method.explicit,
-            self._rules, self._control, batch,
-        )  # fmt: skip
+            advance_cells,
+            count,
+            common,
+            self.method.rosenbrock,
+            self.method.explicit,
+            self._rules,
+            self._control,
+            batch,
+        )
         failed = np.flatnonzero(batch.status != CELL_DONE)
         if len(failed):
             row = int(failed[0])

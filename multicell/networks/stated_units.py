@@ -16,12 +16,20 @@ from sbmlode.units import udef_to_string
 from multicell.units import LISTED, unit_factor
 
 _KINDS: Final = {
-    "mole": ("amol", "mol"), "litre": ("um^3", "l"), "liter": ("um^3", "l"),
-    "metre": ("um", "m"), "meter": ("um", "m"), "second": ("s", "s"),
-    "gram": ("nN s^2/um", "g"), "kilogram": ("nN s^2/um", "kg"), "newton": ("nN", "N"),
-    "pascal": ("nN/um^2", "Pa"), "joule": ("nN um", "J"), "hertz": ("1/s", "Hz"),
+    "mole": ("amol", "mol"),
+    "litre": ("um^3", "l"),
+    "liter": ("um^3", "l"),
+    "metre": ("um", "m"),
+    "meter": ("um", "m"),
+    "second": ("s", "s"),
+    "gram": ("nN s^2/um", "g"),
+    "kilogram": ("nN s^2/um", "kg"),
+    "newton": ("nN", "N"),
+    "pascal": ("nN/um^2", "Pa"),
+    "joule": ("nN um", "J"),
+    "hertz": ("1/s", "Hz"),
     "gray": ("Gy", "Gy"),
-}  # fmt: skip
+}
 """Base unit of each kind of SBML, and what one of it is called."""
 _OLD: Final = {
     "substance": "mol",

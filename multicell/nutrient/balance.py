@@ -11,10 +11,15 @@ if TYPE_CHECKING:
     from multicell.scene.nutrient import Nutrient
 
 SIGNS: Final = {
-    "inflow": 1.0, "secreted": 1.0, "made": 1.0,
-    "uptake": -1.0, "decayed": -1.0, "used": -1.0,
-    "outflow": 0.0, "washed": 0.0,
-}  # fmt: skip
+    "inflow": 1.0,
+    "secreted": 1.0,
+    "made": 1.0,
+    "uptake": -1.0,
+    "decayed": -1.0,
+    "used": -1.0,
+    "outflow": 0.0,
+    "washed": 0.0,
+}
 """Entries of an account, and what each adds to the content; zero: it is a part of another entry."""
 
 BALANCE_COLUMNS: Final = (*SIGNS, "level")
@@ -22,9 +27,18 @@ BALANCE_COLUMNS: Final = (*SIGNS, "level")
 
 _MEDIUM: Final = ("held", "level", "fresh", "discarded", "spoiled", "changes")
 _TOTALS: Final = (
-    "inflow", "outflow", "washed", "uptake", "secreted", "decayed", "relaid", "stored", "content",
-    "remainder", "relative_remainder",
-)  # fmt: skip
+    "inflow",
+    "outflow",
+    "washed",
+    "uptake",
+    "secreted",
+    "decayed",
+    "relaid",
+    "stored",
+    "content",
+    "remainder",
+    "relative_remainder",
+)
 _WHERE_ANY: Final = ("made", "used")
 
 
@@ -229,9 +243,12 @@ class WellMixed:
         """Return it with a part replaced by fresh medium of a concentration in mM."""
         gone, brought = part * self.amount, part * self.volume * concentration
         return replace(
-            self, amount=self.amount - gone + brought, fresh=self.fresh + brought,
-            discarded=self.discarded + gone, changes=self.changes + 1,
-        )  # fmt: skip
+            self,
+            amount=self.amount - gone + brought,
+            fresh=self.fresh + brought,
+            discarded=self.discarded + gone,
+            changes=self.changes + 1,
+        )
 
 
 def volume_beyond_grid(name: str, nutrient: Nutrient, covered: float) -> float:

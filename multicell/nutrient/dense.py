@@ -75,10 +75,19 @@ class Inverse:
         self._first = nx, ny * nz
         a, b = np.empty((2, nx * ny * nz), dtype=np.float32)
         self._given = (
-            a.reshape(nx, -1), a.reshape(ny, -1), a.reshape(nz, -1), a.reshape(-1, nz),
-            b.reshape(ny, -1), b.reshape(nz, -1),
-            fx, fy, fz, stiffness * ax, stiffness * ay, stiffness * az,
-        )  # fmt: skip
+            a.reshape(nx, -1),
+            a.reshape(ny, -1),
+            a.reshape(nz, -1),
+            a.reshape(-1, nz),
+            b.reshape(ny, -1),
+            b.reshape(nz, -1),
+            fx,
+            fy,
+            fz,
+            stiffness * ax,
+            stiffness * ay,
+            stiffness * az,
+        )
 
     def overwrite(self, y: Float32Array, shift: float) -> float:
         """Overwrite ``y`` (nx, ny, nz) with u, and return y . u; ``shift`` is in 1/s."""
@@ -87,12 +96,21 @@ class Inverse:
 
 @_jit
 def _invert(
-    u: Float32Array, shift: float,
-    ax: Float32Array, ay: Float32Array, az: Float32Array, a: Float32Array,
-    by: Float32Array, bz: Float32Array,
-    fx: Float32Array, fy: Float32Array, fz: Float32Array,
-    lx: FloatArray, ly: FloatArray, lz: FloatArray,
-) -> float:  # fmt: skip
+    u: Float32Array,
+    shift: float,
+    ax: Float32Array,
+    ay: Float32Array,
+    az: Float32Array,
+    a: Float32Array,
+    by: Float32Array,
+    bz: Float32Array,
+    fx: Float32Array,
+    fy: Float32Array,
+    fz: Float32Array,
+    lx: FloatArray,
+    ly: FloatArray,
+    lz: FloatArray,
+) -> float:
     """Do it; ``ax``, ``ay``, ``az`` and ``a`` are the same memory, and ``by`` and ``bz`` are.
 
     Their shapes are (nx, ny nz), (ny, nx nz), (nz, ny nx) and (ny nx, nz).

@@ -153,9 +153,12 @@ class FieldSystem:
         self._sources = {x for n in scene.nutrients.values() for x in (n.secretion_from or ())}
 
     def _lay_out(
-        self, scene: Scene, reactions: Mapping[str, Any] | None, known: Mapping[str, Any],
+        self,
+        scene: Scene,
+        reactions: Mapping[str, Any] | None,
+        known: Mapping[str, Any],
         threads: int,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Make the fields, and the groups that are solved for together."""
         from multicell.nutrient.field import NutrientField
         from multicell.nutrient.group import joined_parameters, together
@@ -388,8 +391,12 @@ class FieldSystem:
             return _NO_FIELDS
         return FieldsState(
             {name: field.solution for name, field in self.fields.items()},
-            self.ledger, self.concentrations, self.reports, self._changes, self._uptake,
-        )  # fmt: skip
+            self.ledger,
+            self.concentrations,
+            self.reports,
+            self._changes,
+            self._uptake,
+        )
 
     @state.setter
     def state(self, state: FieldsState) -> None:
@@ -460,9 +467,13 @@ class FieldSystem:
                 field.attach_medium()
                 assert field.well_mixed is not None
                 field.well_mixed = replace(
-                    field.well_mixed, amount=ledger.held, fresh=ledger.fresh,
-                    discarded=ledger.discarded, decayed=ledger.spoiled, changes=int(ledger.changes),
-                )  # fmt: skip
+                    field.well_mixed,
+                    amount=ledger.held,
+                    fresh=ledger.fresh,
+                    discarded=ledger.discarded,
+                    decayed=ledger.spoiled,
+                    changes=int(ledger.changes),
+                )
                 field.restore(frame.fields[name], frame.time)
             self.concentrations[name] = np.array(frame.concentrations[name])
         self.reports = {

@@ -132,9 +132,10 @@ class _Exchange:
             state: Any = SimpleNamespace(data=equation.data(self.total))
             nutrients = [field.parameters.nutrient for field in self.group.fields.values()]
             solver: Any = SolverBase.from_name(
-                "multicell-march", equation,  # type: ignore[arg-type]
+                "multicell-march",
+                equation,  # type: ignore[arg-type]
                 tolerance=min(n.time_tolerance for n in nutrients),
-            )  # fmt: skip
+            )
             first = end - self.now if self.steady else None
             solver.watch = self._watch if self.group.watch is not None else None
             solver.make_stepper(state, first)(state, self.now, end)
@@ -285,9 +286,9 @@ class WithMedium(_Medium):
         return np.append(found, found[self.row])
 
 
-_OTHERS: Final = np.array([
-    0.0 if name in ("inflow", "decayed") else SIGNS.get(name, 0.0) for name in BALANCE_COLUMNS
-])  # fmt: skip
+_OTHERS: Final = np.array(
+    [0.0 if name in ("inflow", "decayed") else SIGNS.get(name, 0.0) for name in BALANCE_COLUMNS]
+)
 """What entries of an account add to field and medium together, but for what decays in both."""
 
 

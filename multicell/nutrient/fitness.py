@@ -68,9 +68,13 @@ def fitness(
 
 
 def _rate_layer(
-    name: str, shells: ShellLayout, wanted: float, cells: Cells,
-    fields: dict[str, dict[str, Any]], notes: list[str],
-) -> None:  # fmt: skip
+    name: str,
+    shells: ShellLayout,
+    wanted: float,
+    cells: Cells,
+    fields: dict[str, dict[str, Any]],
+    notes: list[str],
+) -> None:
     """Say how thick the layer round the tissue is, and whether a stray cell made it thicker."""
     if len(cells) == 0:
         return

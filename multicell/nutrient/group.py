@@ -187,11 +187,15 @@ class FieldGroup:
             for f in fields
         }
         self.equation = FieldEquation(
-            None, substances, position, radius=self.radius, layout=layout,
+            None,
+            substances,
+            position,
+            radius=self.radius,
+            layout=layout,
             reactions=self.kinetics,
             tissue=tissue_share(layout, position, radius) if tissue else None,
             threads=self.first.threads,
-        )  # fmt: skip
+        )
         self._made_for = made_for
         # what differs from place to place belongs to where grid and cells are
         self._may_stay = all(f.parameters.nutrient.diffusion_medium is None for f in fields)
@@ -216,10 +220,16 @@ def substance(
         varied = relative_diffusion(layout, position, radius, medium_diffusion, nutrient.diffusion)
     capacity, production = demand
     return Substance(
-        nutrient.diffusion, conditions, nutrient.half_saturation, medium=medium,
-        capacity=capacity, production=production, varied=varied,
-        decay=nutrient.decay, perfusion=nutrient.perfusion,
-    )  # fmt: skip
+        nutrient.diffusion,
+        conditions,
+        nutrient.half_saturation,
+        medium=medium,
+        capacity=capacity,
+        production=production,
+        varied=varied,
+        decay=nutrient.decay,
+        perfusion=nutrient.perfusion,
+    )
 
 
 def joined_parameters(

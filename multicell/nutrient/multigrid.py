@@ -85,9 +85,17 @@ class _Level:
     def restrict(self, coarse: _Level) -> None:
         """Take two damped Jacobi steps from zero, and give what they leave to the next level."""
         self.team.share(
-            kernels.down, coarse.shape[0], self.b, self.rate, self.along, self.weights, _SMOOTHER,
-            self.shares, self.x, coarse.b,
-        )  # fmt: skip
+            kernels.down,
+            coarse.shape[0],
+            self.b,
+            self.rate,
+            self.along,
+            self.weights,
+            _SMOOTHER,
+            self.shares,
+            self.x,
+            coarse.b,
+        )
 
     def average(self, values: Float32Array, out: Float32Array) -> None:
         """Write means over the nodes in each node of the next level."""
@@ -96,9 +104,18 @@ class _Level:
     def correct(self, coarse: _Level) -> None:
         """Add the solution of the next level, and take two damped Jacobi steps."""
         self.share(
-            kernels.up, coarse.x, self.others, self.nearness, self.x, self.b, self.rate, self.along,
-            self.weights, _SMOOTHER, self.spare,
-        )  # fmt: skip
+            kernels.up,
+            coarse.x,
+            self.others,
+            self.nearness,
+            self.x,
+            self.b,
+            self.rate,
+            self.along,
+            self.weights,
+            _SMOOTHER,
+            self.spare,
+        )
         self.x, self.spare = self.spare, self.x
 
     def solve(self) -> None:
@@ -213,9 +230,16 @@ class MultigridSolver:
     def _begin(self, rate: Floats, residual: Floats, size: float) -> None:
         """Take a system, divided by D/h² and by the size of its right-hand side."""
         self._finest.share(
-            kernels.load, self._turned(rate), self.operator.stiffness, self._turned(residual),
-            size, self._finest.rate, self._r, self._x, self._p,
-        )  # fmt: skip
+            kernels.load,
+            self._turned(rate),
+            self.operator.stiffness,
+            self._turned(residual),
+            size,
+            self._finest.rate,
+            self._r,
+            self._x,
+            self._p,
+        )
         self._hierarchy.set_rate()
 
     def _products(self, z: Float32Array) -> tuple[float, float]:

@@ -106,9 +106,17 @@ def _sum(values: Any) -> float:
 
 @_inline
 def _relax(
-    i: int, x: Any, b: Any, rate: Any, along: Any, weights: Any, damping: Any, row: Any,
-    diagonal: Any, out: Any,
-) -> None:  # fmt: skip
+    i: int,
+    x: Any,
+    b: Any,
+    rate: Any,
+    along: Any,
+    weights: Any,
+    damping: Any,
+    row: Any,
+    diagonal: Any,
+    out: Any,
+) -> None:
     """Write plane i of ``x + damping (b - A x) / diagonal``, a damped Jacobi step, to ``out``.
 
     ``x`` are three planes by turns, see :func:`_ring`.
@@ -134,9 +142,17 @@ def _pair(total: Any, share: Any, out: Any) -> None:
 
 @_jit
 def down(
-    begin: int, end: int, b: Any, rate: Any, along: Any, weights: Any, damping: Any, shares: Any,
-    x: Any, out: Any,
-) -> None:  # fmt: skip
+    begin: int,
+    end: int,
+    b: Any,
+    rate: Any,
+    along: Any,
+    weights: Any,
+    damping: Any,
+    shares: Any,
+    x: Any,
+    out: Any,
+) -> None:
     """Take two damped Jacobi steps from zero to ``x``, and write to ``out`` what they leave.
 
     That is the mean of ``b - A x`` over the up to eight nodes in each node of the next level, of
@@ -238,9 +254,19 @@ def _prolong(i: int, coarse: Any, others: Any, nearness: Any, row: Any, x: Any, 
 
 @_jit
 def up(
-    begin: int, end: int, coarse: Any, others: Any, nearness: Any, x: Any, b: Any, rate: Any,
-    along: Any, weights: Any, damping: Any, out: Any,
-) -> None:  # fmt: skip
+    begin: int,
+    end: int,
+    coarse: Any,
+    others: Any,
+    nearness: Any,
+    x: Any,
+    b: Any,
+    rate: Any,
+    along: Any,
+    weights: Any,
+    damping: Any,
+    out: Any,
+) -> None:
     """Add what the next level has found to ``x``, and write two damped Jacobi steps to ``out``.
 
     They follow each other as in :func:`down`.

@@ -34,9 +34,17 @@ def source_imbalance(
         return np.diff(flow) / operator.volumes + source - taken - linear * c, slope + linear
     out, slope = np.empty_like(c), np.empty_like(c)
     stencil.write_imbalance(
-        c, sink, source, half, operator.stiffness, linear, operator.ghost, operator.weights,
-        out, slope,
-    )  # fmt: skip
+        c,
+        sink,
+        source,
+        half,
+        operator.stiffness,
+        linear,
+        operator.ghost,
+        operator.weights,
+        out,
+        slope,
+    )
     return out, slope
 
 
@@ -73,9 +81,17 @@ def lifted(
         c = c.copy()
         # uptake's slope at zero is sink / half: so ``loss`` is exact where this is used
         stencil.balance_negative(
-            c, sink + half * loss, source, half, operator.stiffness, linear, operator.ghost,
-            operator.weights, np.inf, most,
-        )  # fmt: skip
+            c,
+            sink + half * loss,
+            source,
+            half,
+            operator.stiffness,
+            linear,
+            operator.ghost,
+            operator.weights,
+            np.inf,
+            most,
+        )
         return c
     taken = (sink / (half + np.maximum(c, 0.0)) + linear + loss) * operator.volumes
     return operator.solve_linear(taken, source * operator.volumes)

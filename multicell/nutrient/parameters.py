@@ -41,9 +41,13 @@ class FieldParameters:
         """Return the parameters of a field of a scene."""
         nutrient = scene.nutrients[name]
         return cls(
-            nutrient, largest_spacing(scene, name), layer_height(scene, name), regime(scene, name),
-            scene.dimensions, scene.box,
-        )  # fmt: skip
+            nutrient,
+            largest_spacing(scene, name),
+            layer_height(scene, name),
+            regime(scene, name),
+            scene.dimensions,
+            scene.box,
+        )
 
     @property
     def geometry(self) -> str:

@@ -93,10 +93,14 @@ def field_problem(
         demand = system.demand(name, cells, frame.concentrations, taken)
         substances[name] = substance(parameters, layout, position, cells.radius, demand, medium)
     equation = FieldEquation(
-        together.grid, substances, position, layout=layout, reactions=known,
+        together.grid,
+        substances,
+        position,
+        layout=layout,
+        reactions=known,
         radius=reaching(cells.position, position, cells.radius),
         tissue=tissue_share(layout, position, cells.radius) if known else None,
-    )  # fmt: skip
+    )
     state = together if len(names) > 1 else frame.fields[names[0]].to_pde()
     return FieldProblem(equation, state, frame.time)
 

@@ -226,9 +226,18 @@ class _State:
         """Bring all up to date with ``c``."""
         problem, op = self.problem, self.problem.operator
         squares, self.total, size = stencil.write_imbalance(
-            self.c, problem.sink, problem.source, problem.half, op.stiffness, problem.linear,
-            op.ghost, op.weights, self.residual, self.rate, problem.team,
-        )  # fmt: skip
+            self.c,
+            problem.sink,
+            problem.source,
+            problem.half,
+            op.stiffness,
+            problem.linear,
+            op.ghost,
+            op.weights,
+            self.residual,
+            self.rate,
+            problem.team,
+        )
         self.size, self.norm = math.sqrt(squares), math.sqrt(size)
 
     def step(self, c: FloatArray, correction: stencil.Floats, share: float) -> None:
@@ -258,9 +267,17 @@ class _State:
             return True
         problem, op = self.problem, self.problem.operator
         left = stencil.balance_negative(
-            self.c, problem.sink, problem.source, problem.half, op.stiffness, problem.linear,
-            op.ghost, op.weights, self.uncertainty(), MAX_SWEEPS,
-        )  # fmt: skip
+            self.c,
+            problem.sink,
+            problem.source,
+            problem.half,
+            op.stiffness,
+            problem.linear,
+            op.ghost,
+            op.weights,
+            self.uncertainty(),
+            MAX_SWEEPS,
+        )
         self.evaluate()
         return bool(left == 0)
 
@@ -346,9 +363,17 @@ class _Linear:
         x, r, p, q, scale = self._work
         varied = None if op.varied is None else op.varied.ravel()
         total = stencil.begin(
-            rate.ravel(), residual.ravel(), varied, 0.5 / op.stiffness, size, x, r, p, scale,
+            rate.ravel(),
+            residual.ravel(),
+            varied,
+            0.5 / op.stiffness,
+            size,
+            x,
+            r,
+            p,
+            scale,
             self._single.ravel(),
-        )  # fmt: skip
+        )
         shift = UPTAKE_SHIFT * total / rate.size
         u, rho = op.invert(self._single, shift)
         beta, direction, image = 0.0, p.reshape(shape), q.reshape(shape)

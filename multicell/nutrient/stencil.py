@@ -72,9 +72,14 @@ def _fill_row(p: FloatArray, ghost: FloatArray, i: int, j: int, row: FloatArray)
 
 @_inner
 def _fill_varied(
-    p: FloatArray, ghost: FloatArray, weights: tuple[FloatArray, FloatArray, FloatArray], i: int,
-    j: int, row: FloatArray, diagonal: FloatArray,
-) -> None:  # fmt: skip
+    p: FloatArray,
+    ghost: FloatArray,
+    weights: tuple[FloatArray, FloatArray, FloatArray],
+    i: int,
+    j: int,
+    row: FloatArray,
+    diagonal: FloatArray,
+) -> None:
     """Write the weighted sums of neighbours to ``row`` and those of the weights."""
     nx, ny, nz = p.shape
     wx, wy, wz = weights
@@ -108,9 +113,13 @@ def _weight(weights: Weights, face: int, i: int, j: int, k: int) -> float:
 
 @_jit
 def apply_operator(
-    p: FloatArray, rate: Floats, stiffness: float, ghost: FloatArray, weights: Weights,
+    p: FloatArray,
+    rate: Floats,
+    stiffness: float,
+    ghost: FloatArray,
+    weights: Weights,
     out: FloatArray,
-) -> float:  # fmt: skip
+) -> float:
     """Write ``(-D L0 + rate) p`` to ``out`` and return its product with ``p``.
 
     ``rate`` (nx, ny, nz) is the linearised uptake at the nodes in 1/s.
@@ -135,10 +144,18 @@ def apply_operator(
 
 
 def write_imbalance(
-    c: FloatArray, sink: FloatArray, source: FloatArray, half: float, stiffness: float,
-    linear: float, ghost: FloatArray, weights: Weights, residual: Floats, rate: Floats,
+    c: FloatArray,
+    sink: FloatArray,
+    source: FloatArray,
+    half: float,
+    stiffness: float,
+    linear: float,
+    ghost: FloatArray,
+    weights: Weights,
+    residual: Floats,
+    rate: Floats,
     team: Team | None = None,
-) -> tuple[float, float, float]:  # fmt: skip
+) -> tuple[float, float, float]:
     """Write sources minus sinks of all nodes (mM/s) and the sinks' derivative (1/s).
 
     The sinks are uptake, ``sink`` at most (mM/s), and ``linear`` (1/s) times c; ``source`` is in
@@ -152,19 +169,42 @@ def write_imbalance(
     block = planes if team is None else 1
     parts = np.empty((3, planes // block))
     (team or Team()).share(
-        imbalance_of_planes, planes, c, sink, source, half, stiffness, linear, ghost, weights,
-        residual, rate, parts, block,
-    )  # fmt: skip
+        imbalance_of_planes,
+        planes,
+        c,
+        sink,
+        source,
+        half,
+        stiffness,
+        linear,
+        ghost,
+        weights,
+        residual,
+        rate,
+        parts,
+        block,
+    )
     squares, total, size = parts.sum(axis=1)
     return float(squares), float(total), float(size)
 
 
 @_jit
 def imbalance_of_planes(
-    begin: int, end: int, c: FloatArray, sink: FloatArray, source: FloatArray, half: float,
-    stiffness: float, linear: float, ghost: FloatArray, weights: Weights, residual: Floats,
-    rate: Floats, parts: FloatArray, block: int,
-) -> None:  # fmt: skip
+    begin: int,
+    end: int,
+    c: FloatArray,
+    sink: FloatArray,
+    source: FloatArray,
+    half: float,
+    stiffness: float,
+    linear: float,
+    ghost: FloatArray,
+    weights: Weights,
+    residual: Floats,
+    rate: Floats,
+    parts: FloatArray,
+    block: int,
+) -> None:
     """Do what :func:`write_imbalance` does for the planes from ``begin`` to ``end``.
 
     ``parts``, (3, planes / block), are the sums over each ``block`` of planes.
@@ -203,9 +243,17 @@ def imbalance_of_planes(
 
 @_jit
 def balance_negative(
-    c: FloatArray, sink: FloatArray, source: FloatArray, half: float, stiffness: float,
-    linear: float, ghost: FloatArray, weights: Weights, zero: float, most: int,
-) -> int:  # fmt: skip
+    c: FloatArray,
+    sink: FloatArray,
+    source: FloatArray,
+    half: float,
+    stiffness: float,
+    linear: float,
+    ghost: FloatArray,
+    weights: Weights,
+    zero: float,
+    most: int,
+) -> int:
     """Bring all nodes below zero to their own balance, in sweeps, until there are none.
 
     A node is given the concentration at which its sinks meet its source and what comes from its
@@ -249,9 +297,17 @@ def balance_negative(
 
 @_jit
 def begin(
-    rate: Floats, residual: Floats, weight: FloatArray | None, time: float, size: float,
-    x: FloatArray, r: FloatArray, p: FloatArray, scale: FloatArray, y: Float32Array,
-) -> float:  # fmt: skip
+    rate: Floats,
+    residual: Floats,
+    weight: FloatArray | None,
+    time: float,
+    size: float,
+    x: FloatArray,
+    r: FloatArray,
+    p: FloatArray,
+    scale: FloatArray,
+    y: Float32Array,
+) -> float:
     """Start the linear solver: ``scale = (w + time rate)^(-1/2)``, ``y = scale r``, no direction.
 
     All arrays are flat, (nodes,). ``w`` is the relative coefficient of diffusion at the nodes, one
@@ -276,9 +332,14 @@ def begin(
 
 @_jit
 def update_residual(
-    step: float, x: FloatArray, p: FloatArray, r: FloatArray, q: FloatArray, scale: FloatArray,
+    step: float,
+    x: FloatArray,
+    p: FloatArray,
+    r: FloatArray,
+    q: FloatArray,
+    scale: FloatArray,
     y: Float32Array,
-) -> float:  # fmt: skip
+) -> float:
     """Do ``x += step p``, ``r -= step q``, ``y = scale r``, all flat; return ``r . r``."""
     product = 0.0
     for n in range(x.size):

@@ -40,9 +40,13 @@ def refuse_names(base: type[OwnLaw], names: Iterable[str], hidden: Sequence[str]
 
 
 def law_of(
-    base: type[OwnLaw], function: Any, parameters: Mapping[str, Any], laws: Laws[Any],
-    read: Sequence[Any], attributes: Mapping[str, Any],
-) -> type[Any]:  # fmt: skip
+    base: type[OwnLaw],
+    function: Any,
+    parameters: Mapping[str, Any],
+    laws: Laws[Any],
+    read: Sequence[Any],
+    attributes: Mapping[str, Any],
+) -> type[Any]:
     """Return the class of laws that a user's function stands for: the same one for the same code.
 
     - ``base``: of what kind it is, with ``attributes`` of its own

@@ -20,8 +20,10 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 _CONTACTS: Final = {
-    "hertz": ("hertz1882",), "jkr": ("johnson1971", "schaller2005"), "exact-jkr": ("johnson1971",),
-}  # fmt: skip
+    "hertz": ("hertz1882",),
+    "jkr": ("johnson1971", "schaller2005"),
+    "exact-jkr": ("johnson1971",),
+}
 _NOT_OF_MODEL: Final = ("integrator", "output")
 _UNSAID: Final = ("title", "seed", "duration", "coupling_step", "output", "integrator")
 """Keys that say nothing of the model, or stand in the text already."""
@@ -133,8 +135,11 @@ def _errors(summary: Mapping[str, Any]) -> list[tuple[str, float]]:
         ("volume of the worst cell by coupling, relative", splitting.get("worst_cell_error")),
         ("balance of molecules, relative", (summary.get("ledger") or {}).get("relative_remainder")),
     ]
-    return [(words, float(value)) for words, value in known
-            if isinstance(value, int | float) and math.isfinite(value)]  # fmt: skip
+    return [
+        (words, float(value))
+        for words, value in known
+        if isinstance(value, int | float) and math.isfinite(value)
+    ]
 
 
 def _origin(result: Result) -> str:

@@ -255,9 +255,14 @@ class Result:
         if not len(self.history.get("time", ())):
             raise OutputError("the run has no history yet: there is nothing to compare")
         found = compare_runs(
-            self.scene, [(self.history, self.summary())], table, columns=columns, where=where,
-            sd=sd, specimens=specimens,
-        )  # fmt: skip
+            self.scene,
+            [(self.history, self.summary())],
+            table,
+            columns=columns,
+            where=where,
+            sd=sd,
+            specimens=specimens,
+        )
         return replace(found, draw=compared)
 
     def cite(self) -> Citation:

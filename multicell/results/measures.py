@@ -29,8 +29,15 @@ if TYPE_CHECKING:
 
 _STATES: Final = ("proliferating", "quiescent", "necrotic", "apoptotic")
 _LEDGER: Final = (
-    "inflow", "outflow", "washed", "uptake", "secreted", "decayed", "stored", "content",
-)  # fmt: skip
+    "inflow",
+    "outflow",
+    "washed",
+    "uptake",
+    "secreted",
+    "decayed",
+    "stored",
+    "content",
+)
 
 
 def _has_phases(scene: Scene) -> bool:

@@ -17,26 +17,56 @@ from multicell.results.observable import OWN_OBSERVABLES
 from multicell.scene.parts import own_units
 
 _AMOUNTS: Final = (
-    "relaid", "remainder", "made", "used", "medium_held", "medium_fresh",
-    "medium_discarded", "medium_decayed", "medium_remainder",
-)  # fmt: skip
+    "relaid",
+    "remainder",
+    "made",
+    "used",
+    "medium_held",
+    "medium_fresh",
+    "medium_discarded",
+    "medium_decayed",
+    "medium_remainder",
+)
 """Entries of a ledger that are no observables."""
 _COUNTS: Final = (
-    "evaluations", "linearisations", "jacobian_products", "preconditioner_setups",
-    "preconditioner_solves", "list_builds", "list_repairs", "steps", "rejections",
-    "newton_iterations", "linear_iterations", "factorisations", "friction_iterations", "steps_*",
-)  # fmt: skip
+    "evaluations",
+    "linearisations",
+    "jacobian_products",
+    "preconditioner_setups",
+    "preconditioner_solves",
+    "list_builds",
+    "list_repairs",
+    "steps",
+    "rejections",
+    "newton_iterations",
+    "linear_iterations",
+    "factorisations",
+    "friction_iterations",
+    "steps_*",
+)
 
 _RATIOS: Final = (
-    "step", "steps", "seed", "threads", "stability_ratio", "splitting_volume_error",
-    "splitting_worst_cell_error", "splitting_events_error", "splitting_networks_error",
+    "step",
+    "steps",
+    "seed",
+    "threads",
+    "stability_ratio",
+    "splitting_volume_error",
+    "splitting_worst_cell_error",
+    "splitting_events_error",
+    "splitting_networks_error",
     "splitting.relative_volume_error",
-    "splitting.worst_cell_error", "splitting.events_error", "splitting.networks_error",
+    "splitting.worst_cell_error",
+    "splitting.events_error",
+    "splitting.networks_error",
     "integrator.replays",
     "integrator.stability_checks",
-    "integrator.checks_beyond_stability", "integrator.largest_stability_ratio",
-    "ledger.*.relative_remainder", "ledger.relative_remainder", "fields.*.departure_from_a_ball",
-)  # fmt: skip
+    "integrator.checks_beyond_stability",
+    "integrator.largest_stability_ratio",
+    "ledger.*.relative_remainder",
+    "ledger.relative_remainder",
+    "fields.*.departure_from_a_ball",
+)
 """Further numbers without a unit."""
 QUANTITY_UNITS: Final[Mapping[str, str]] = {
     **{o.name: o.unit for o in OBSERVABLES},
@@ -66,7 +96,7 @@ QUANTITY_UNITS: Final[Mapping[str, str]] = {
     **{f"lineage.{name}": "" for name in ("id", "parent", "kind", "end")},
     **{f"contacts.{name}": "" for name in ("frame", "first_id", "second_id")},
     "cells.frame": "",
-}  # fmt: skip
+}
 """Unit by name; the columns of ``cells`` that are not here are those of :class:`Cells`."""
 
 ABSENT_WORDS: Final[Mapping[str, str]] = {

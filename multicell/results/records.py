@@ -48,8 +48,14 @@ SPARSE: Final = frozenset(
 """Arrays that a frame has only where they are not all zero, and a file only if a frame has them."""
 
 _OF_PARTS: Final = (
-    "cavity", "driven", "exposures", "first_states", "inside", "replays", "stability",
-)  # fmt: skip
+    "cavity",
+    "driven",
+    "exposures",
+    "first_states",
+    "inside",
+    "replays",
+    "stability",
+)
 """Entries of a progress that only some runs have."""
 
 

@@ -112,8 +112,10 @@ def frame_arrays(frame: Frame, types: Sequence[str] = ()) -> Dataset:
         attributes: dict[str, Any] = {"units": unit} if unit else {}
         words = list(types) if name == "kind" else NAMED.get(name)
         if words:  # as the conventions of CF have it
-            attributes |= {"flag_values": np.arange(len(words), dtype=values.dtype),
-                           "flag_meanings": " ".join(words)}  # fmt: skip
+            attributes |= {
+                "flag_values": np.arange(len(words), dtype=values.dtype),
+                "flag_meanings": " ".join(words),
+            }
         parts[name] = (("cell", "axis") if values.ndim == 2 else "cell", values, attributes)
     places: dict[str, Any] = {"axis": list(_AXES)}
     for field in frame.fields.values():

@@ -164,7 +164,8 @@ _KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = 
     "quantity": lambda spec, _: _amount(spec.unit, spec.bounds),
     "measure": lambda spec, _: _MEASURE,
     "measure_points": lambda spec, _: {
-        "type": "array", "minItems": 1,
+        "type": "array",
+        "minItems": 1,
         "items": {"type": "array", "items": _MEASURE, "minItems": 2, "maxItems": 2},
     },
     "number": lambda spec, _: _number(spec.bounds),
@@ -175,31 +176,43 @@ _KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = 
     "flag": lambda spec, _: {"type": "boolean"},
     "names": lambda spec, _: {"type": "array", "items": {"enum": list(spec.options)}},
     "interval": lambda spec, _: {
-        "type": "array", "items": _amount(spec.unit, spec.bounds), "minItems": 2, "maxItems": 2,
+        "type": "array",
+        "items": _amount(spec.unit, spec.bounds),
+        "minItems": 2,
+        "maxItems": 2,
     },
     "vector": lambda spec, _: {
-        "type": "array", "items": _amount(spec.unit, spec.bounds), "minItems": 2, "maxItems": 3,
+        "type": "array",
+        "items": _amount(spec.unit, spec.bounds),
+        "minItems": 2,
+        "maxItems": 3,
     },
     "whole_numbers": lambda spec, _: {
-        "type": "array", "items": {"type": "integer", "minimum": 0}, "minItems": 1,
+        "type": "array",
+        "items": {"type": "integer", "minimum": 0},
+        "minItems": 1,
         "uniqueItems": True,
     },
     "moments": lambda spec, _: {
-        "type": "array", "items": _amount(spec.unit, spec.bounds), "minItems": 1,
+        "type": "array",
+        "items": _amount(spec.unit, spec.bounds),
+        "minItems": 1,
     },
     "course": lambda spec, _: {
         "anyOf": [_number(spec.bounds), _curve(_amount("s"), _number(spec.bounds))],
     },
     "schedule": lambda spec, _: _curve(_amount("s"), _amount(spec.unit, spec.bounds)),
     "quantities": lambda spec, _: {
-        "type": "object", "additionalProperties": _amount(spec.unit, spec.bounds),
+        "type": "object",
+        "additionalProperties": _amount(spec.unit, spec.bounds),
     },
     "texts": lambda spec, _: {"type": "object", "additionalProperties": {"type": "string"}},
     "drawn_numbers": lambda spec, _: {
-        "type": "object", "additionalProperties": {"anyOf": [_number(None), _DRAW]},
+        "type": "object",
+        "additionalProperties": {"anyOf": [_number(None), _DRAW]},
     },
     "table": _one_table,
     "variant": _variant,
     "tables": _tables,
-}  # fmt: skip
+}
 """What makes the schema of a key, by the function that declared it."""

@@ -66,9 +66,11 @@ class CellNetwork:
     start: str = choice(["given", "steady"], default="given", doc="as stated, or at rest")
     units: Mapping[str, str] | None = texts(doc="of what the network leaves open")
     scales: Mapping[str, float] | None = quantities(
-        "", above=0, doc="input -> how many of its unit one base unit of the signal is, in place "
+        "",
+        above=0,
+        doc="input -> how many of its unit one base unit of the signal is, in place "
         "of what the units say",
-    )  # fmt: skip
+    )
     time_unit: float | None = quantity(
         "s", default=None, above=0, doc="of the network's time, where it states none; absent: 1 s"
     )
@@ -338,8 +340,11 @@ def _check_one(
             problem = f"is {unit!r}, but the network states {stated!r}"
             raise SceneError(f"units.{of}", problem, "Leave it out.")
     if part.time_unit is not None and model.time_unit not in (None, part.time_unit):
-        raise SceneError("time_unit", f"is {part.time_unit:g} s, but the network states "
-                         f"{model.time_unit:g} s", "Leave it out.")  # fmt: skip
+        raise SceneError(
+            "time_unit",
+            f"is {part.time_unit:g} s, but the network states {model.time_unit:g} s",
+            "Leave it out.",
+        )
     for name, signal in (part.inputs or {}).items():
         check_signal(scene, signal, f"inputs.{name}")
         check_kinds_have(scene, signal, part.types, f"inputs.{name}")

@@ -76,9 +76,15 @@ class Side:
 
 
 LEVELS = (
-    "boundary", "half_saturation", "growth_half_saturation", "growth_inhibition", "quiescence",
-    "necrosis", "necrosis_above", "hypoxia",
-)  # fmt: skip
+    "boundary",
+    "half_saturation",
+    "growth_half_saturation",
+    "growth_inhibition",
+    "quiescence",
+    "necrosis",
+    "necrosis_above",
+    "hypoxia",
+)
 """Keys of a field that are concentrations, and may be written as parts of each other."""
 
 _RELATIVE = re.compile(rf"\s*((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*({'|'.join(LEVELS)})\s*")

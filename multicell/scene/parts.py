@@ -73,10 +73,12 @@ class CellParameters:
         doc="of heritable traits by name: standard deviation of ln(trait) in one division",
     )
     represents: float | None = number(
-        default=None, at_least=1, at_most=1e6,
+        default=None,
+        at_least=1,
+        at_most=1e6,
         doc="how many cells of the tissue a cell stands for, which counts in results are "
         "multiplied by; absent: 1",
-    )  # fmt: skip
+    )
 
     def check(self) -> None:
         """Raise ``SceneError`` for drift of what is not inherited."""
@@ -321,9 +323,12 @@ class IntegratorOptions:
     )
     rtol: float = number(default=1e-6, at_least=1e-14, at_most=0.1, doc="relative tolerance")
     atol: float | None = quantity(
-        "um", default=None, above=0, at_least=1e-15,
+        "um",
+        default=None,
+        above=0,
+        at_least=1e-15,
         doc="absolute tolerance; absent: that of the method",
-    )  # fmt: skip
+    )
     max_steps: int = count(default=10000, at_least=1, doc="most steps in one coupling step")
     step: float = quantity("s", default=10.0, above=0, doc="step of the methods with a fixed step")
     max_displacement: float = number(

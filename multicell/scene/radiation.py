@@ -54,9 +54,11 @@ class Radiation:
         "", at_least=0, at_most=10, doc="f by phase of the cycle; absent phases: 1"
     )
     mitotic_divisions: int = count(
-        default=0, at_least=0, at_most=100,
+        default=0,
+        at_least=0,
+        at_most=100,
         doc="a cell that does not survive dies in place of this division; 0: at once",
-    )  # fmt: skip
+    )
 
     def check(self) -> None:
         """Raise ``SceneError`` for a course without times, with two, or without any effect."""

@@ -80,14 +80,18 @@ class Response:
 
     behaviour: str = text(doc="what is changed, for example 'growth rate' or 'uptake of oxygen'")
     signal: str | None = text(
-        default=None, doc="what is found: a field, pressure, ATP, age ...; of a law of the user's "
+        default=None,
+        doc="what is found: a field, pressure, ATP, age ...; of a law of the user's "
         "own several, separated by commas; absent for the law 'constant'",
-    )  # fmt: skip
+    )
     cells: str | None = text(default=None, doc="types, separated by commas; absent: all cells")
     law: str = choice(
-        RESPONSE_LAWS, default="hill", doc="by which it responds", other=loaded_in(OWN_RESPONSES),
+        RESPONSE_LAWS,
+        default="hill",
+        doc="by which it responds",
+        other=loaded_in(OWN_RESPONSES),
         further=OWN_OBJECT,
-    )  # fmt: skip
+    )
     falls: bool = flag(default=False, doc="whether the effect falls as the signal rises")
     half: float | str | None = measure(doc="signal of half the effect, or the threshold")
     power: float = number(default=1.0, above=0, at_most=32, doc="Hill's exponent")
@@ -99,9 +103,11 @@ class Response:
     base: float | str | None = measure(doc="value without the effect")
     largest: float | str | None = measure(doc="value at the full effect")
     combine: str | None = choice(
-        COMBINE, default=None, doc="with other responses of the behaviour; absent: factors by "
+        COMBINE,
+        default=None,
+        doc="with other responses of the behaviour; absent: factors by "
         "product, rates by sum, rest by maximum",
-    )  # fmt: skip
+    )
     parameters: Mapping[str, float] | None = quantities("", doc="of a law of the user's own")
 
     def check(self) -> None:
@@ -334,8 +340,13 @@ def in_base_units(scene: Scene, part: Response) -> Response:
             problem = f"is {signal!r}, which is solved for together with {of}"
             hint = "The law of uptake itself is half_saturation; reactions have laws of their own."
             raise SceneError("signal", problem, hint)
-        if behaviour.of == "field" and signal not in (*scene.nutrients, "age", "volume", "radius",
-                                                     "pressure"):  # fmt: skip
+        if behaviour.of == "field" and signal not in (
+            *scene.nutrients,
+            "age",
+            "volume",
+            "radius",
+            "pressure",
+        ):
             hint = "Uptake and secretion respond to fields, pressure, age and size."
             raise SceneError("signal", f"is {signal!r}", hint)
     changed: dict[str, Any] = {}
@@ -405,8 +416,11 @@ def _signal_reader(scene: Scene, name: str) -> Any:
 
 def _check_behaviour(scene: Scene, behaviour: Behaviour, of: str) -> None:
     """Raise ``SceneError`` for a behaviour that the scene's cells do not have."""
-    known = {"field": list(scene.nutrients), "type": list(scene.types),
-             "phase": [phase.name for phase in Phase][1:]}.get(behaviour.of)  # fmt: skip
+    known = {
+        "field": list(scene.nutrients),
+        "type": list(scene.types),
+        "phase": [phase.name for phase in Phase][1:],
+    }.get(behaviour.of)
     if known is not None and of not in known:
         problem = f"is '{behaviour.name} {of}', but {of!r} is no {behaviour.of} of this scene"
         raise SceneError("behaviour", problem, near_miss(of, known))

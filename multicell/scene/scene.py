@@ -128,9 +128,14 @@ class Scene:
     initial: Initial = table(Initial, default_factory=Initial, doc="the cells at the start")
     cells: CellParameters = table(CellParameters, default_factory=CellParameters, doc="the cells")
     contact: PairLaw = variant(
-        CONTACT_LAWS, key="law", usual="jkr", default_factory=CONTACT_LAWS["jkr"],
-        doc="the law of touching cells", hint=CONTACT_LAWS.hint, further=OWN_OBJECT,
-    )  # fmt: skip
+        CONTACT_LAWS,
+        key="law",
+        usual="jkr",
+        default_factory=CONTACT_LAWS["jkr"],
+        doc="the law of touching cells",
+        hint=CONTACT_LAWS.hint,
+        further=OWN_OBJECT,
+    )
     drag: Drag = table(Drag, default_factory=Drag, doc="friction with the medium")
     growth: Growth | None = table(Growth, default=None, doc="absent: no growth, no division")
     death: Death | None = table(Death, default=None, doc="absent: necrotic cells stay")
@@ -154,9 +159,10 @@ class Scene:
     energy: Energy | None = table(Energy, default=None, doc="absent: fields act each by itself")
     reactions: Mapping[str, Reaction] = tables(Reaction, doc="between fields; absent: none")
     responses: Mapping[str, Response] = tables(
-        Response, listed="response",
-        doc="of what cells do to what they find; absent: none but those of single keys"
-    )  # fmt: skip
+        Response,
+        listed="response",
+        doc="of what cells do to what they find; absent: none but those of single keys",
+    )
     networks: Mapping[str, CellNetwork] = tables(
         CellNetwork, doc="networks of reactions inside cells; absent: none"
     )

@@ -50,17 +50,35 @@ COPIES: Final[tuple[str, ...]] = ("cells.csv", "cells.parquet")
 """Names of the copy of a table in the folder of a run."""
 
 START_COLUMNS: Final[Mapping[str, str]] = {
-    "id": "", "position_x": "um", "position_y": "um", "position_z": "um",
-    "radius": "um", "young": "kPa", "poisson": "", "state": "", "age": "s", "cycle_time": "s",
-    "pressure": "kPa", "kind": "", "phase": "", "progress": "s", "phase_length": "s",
-    "doomed": "", "damage": "", "lag": "s",
-}  # fmt: skip
+    "id": "",
+    "position_x": "um",
+    "position_y": "um",
+    "position_z": "um",
+    "radius": "um",
+    "young": "kPa",
+    "poisson": "",
+    "state": "",
+    "age": "s",
+    "cycle_time": "s",
+    "pressure": "kPa",
+    "kind": "",
+    "phase": "",
+    "progress": "s",
+    "phase_length": "s",
+    "doomed": "",
+    "damage": "",
+    "lag": "s",
+}
 """Columns that a start takes, with their base units, in the order in which they are written."""
 ALIASES: Final = {"x": "position_x", "y": "position_y", "z": "position_z", "type": "kind"}
 """Other names of columns."""
 IGNORED_COLUMNS: Final[Mapping[str, str]] = {
-    "parent": "", "receptor": "", "ligand": "", "frame": "", "time": "s",
-}  # fmt: skip
+    "parent": "",
+    "receptor": "",
+    "ligand": "",
+    "frame": "",
+    "time": "s",
+}
 """Columns of an exported frame that are ignored, as are concentrations."""
 _BLOCK: Final = 50_000  # rows that are written at a time
 _CROWDED: Final = 50  # pairs of deep overlaps for each cell; packed tissue has a few

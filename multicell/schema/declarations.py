@@ -37,9 +37,14 @@ def quantity(
     """
     bounds = Bounds(**ends)
     return declare(
-        "quantity", reader(unit, bounds, hint=hint), default, unit=unit, doc=doc, bounds=bounds,
+        "quantity",
+        reader(unit, bounds, hint=hint),
+        default,
+        unit=unit,
+        doc=doc,
+        bounds=bounds,
         allowed=bounds.words(unit),
-    )  # fmt: skip
+    )
 
 
 def measure(*, default: Any = None, doc: str = "") -> Any:
@@ -56,9 +61,13 @@ def _measure(value: object, path: str) -> float | str:
 
 
 def _each(
-    value: object, path: str, one: Callable[[Any, str], T], what: str, hint: str = "",
+    value: object,
+    path: str,
+    one: Callable[[Any, str], T],
+    what: str,
+    hint: str = "",
     sizes: Container[int] = range(1, 10**9),
-) -> tuple[T, ...]:  # fmt: skip
+) -> tuple[T, ...]:
     """Return the entries of a list, each read by ``one``; refuse what is no list of such a size."""
     if not isinstance(value, list | tuple) or len(value) not in sizes:
         raise SceneError(path, f"is {shown(value)}, must be a list of {what}", hint)
@@ -124,9 +133,14 @@ def choice(
         return chosen(value, known, path, hint)
 
     return declare(
-        "choice", convert, default, allowed=" or ".join(known), doc=doc, options=known,
+        "choice",
+        convert,
+        default,
+        allowed=" or ".join(known),
+        doc=doc,
+        options=known,
         further=further,
-    )  # fmt: skip
+    )
 
 
 def text(*, default: Any = MISSING, doc: str = "") -> Any:
@@ -192,9 +206,15 @@ def interval(unit: str, *, doc: str = "", **ends: float) -> Any:
         return low, high
 
     return declare(
-        "interval", convert, None, plain=list, unit=unit, bounds=bounds, doc=doc,
+        "interval",
+        convert,
+        None,
+        plain=list,
+        unit=unit,
+        bounds=bounds,
+        doc=doc,
         allowed=f"two quantities: {bounds.words(unit)}",
-    )  # fmt: skip
+    )
 
 
 def vector(unit: str, *, default: Any = MISSING, doc: str = "") -> Any:
@@ -211,9 +231,15 @@ def vector(unit: str, *, default: Any = MISSING, doc: str = "") -> Any:
         return x, y, z
 
     return declare(
-        "vector", convert, default, plain=list, unit=unit, bounds=bounds, doc=doc,
+        "vector",
+        convert,
+        default,
+        plain=list,
+        unit=unit,
+        bounds=bounds,
+        doc=doc,
         allowed=f"three {kind}, along x, y and z",
-    )  # fmt: skip
+    )
 
 
 def whole_numbers(*, doc: str = "") -> Any:
@@ -242,9 +268,15 @@ def moments(*, doc: str = "") -> Any:
         return found
 
     return declare(
-        "moments", convert, None, plain=list, unit="s", doc=doc, bounds=bounds,
+        "moments",
+        convert,
+        None,
+        plain=list,
+        unit="s",
+        doc=doc,
+        bounds=bounds,
         allowed="times from 0 s on that rise",
-    )  # fmt: skip
+    )
 
 
 def whole(value: object, path: str) -> int:
@@ -284,9 +316,14 @@ def schedule(unit: str, *, doc: str = "", **ends: float) -> Any:
     bounds = Bounds(**ends)
     read = reader(unit, bounds)
     return declare(
-        "schedule", lambda value, path: in_time(value, path, unit, read), None,
-        plain=lists, unit=unit, doc=doc, bounds=bounds,
-    )  # fmt: skip
+        "schedule",
+        lambda value, path: in_time(value, path, unit, read),
+        None,
+        plain=lists,
+        unit=unit,
+        doc=doc,
+        bounds=bounds,
+    )
 
 
 def quantities(unit: str, *, doc: str = "", **ends: float) -> Any:
@@ -295,9 +332,14 @@ def quantities(unit: str, *, doc: str = "", **ends: float) -> Any:
     read = reader(unit, bounds)
     return declare(
         # an empty table says no more than an absent one, which is how it would be written
-        "quantities", lambda value, path: read_named(value, path, read) or None, None,
-        plain=dict, unit=unit, doc=doc, bounds=bounds,
-    )  # fmt: skip
+        "quantities",
+        lambda value, path: read_named(value, path, read) or None,
+        None,
+        plain=dict,
+        unit=unit,
+        doc=doc,
+        bounds=bounds,
+    )
 
 
 def texts(*, doc: str = "") -> Any:
@@ -309,9 +351,12 @@ def texts(*, doc: str = "") -> Any:
         return value
 
     return declare(
-        "texts", lambda value, path: read_named(value, path, one) or None, None,
-        plain=dict, doc=doc,
-    )  # fmt: skip
+        "texts",
+        lambda value, path: read_named(value, path, one) or None,
+        None,
+        plain=dict,
+        doc=doc,
+    )
 
 
 @final
@@ -351,9 +396,12 @@ def drawn_numbers(*, doc: str = "") -> Any:
         return {name: x._asdict() if isinstance(x, Draw) else x for name, x in value.items()}
 
     return declare(
-        "drawn_numbers", lambda value, path: read_named(value, path, one) or None, None,
-        plain=to_plain, doc=doc,
-    )  # fmt: skip
+        "drawn_numbers",
+        lambda value, path: read_named(value, path, one) or None,
+        None,
+        plain=to_plain,
+        doc=doc,
+    )
 
 
 def table(
@@ -375,9 +423,15 @@ def table(
         return value if isinstance(value, part) else build_part(part, value, path)
 
     return declare(
-        "table", convert, default, default_factory,
-        plain=part_as_dict, doc=doc, shorthand=shorthand, table=part,
-    )  # fmt: skip
+        "table",
+        convert,
+        default,
+        default_factory,
+        plain=part_as_dict,
+        doc=doc,
+        shorthand=shorthand,
+        table=part,
+    )
 
 
 def variant(
@@ -414,10 +468,19 @@ def variant(
         return {key: name_of(value), **part_as_dict(value)}
 
     return declare(
-        "variant", convert, MISSING, default_factory, plain=to_plain, doc=doc,
-        allowed=f"{key}: {' or '.join(options)}", options=tuple(options), parts=options, key=key,
-        usual=usual, further=further,
-    )  # fmt: skip
+        "variant",
+        convert,
+        MISSING,
+        default_factory,
+        plain=to_plain,
+        doc=doc,
+        allowed=f"{key}: {' or '.join(options)}",
+        options=tuple(options),
+        parts=options,
+        key=key,
+        usual=usual,
+        further=further,
+    )
 
 
 def tables(
@@ -447,10 +510,16 @@ def tables(
         return entry if isinstance(entry, part) else build_part(part, entry, path)
 
     return declare(
-        "tables", convert, MISSING, Tables,
+        "tables",
+        convert,
+        MISSING,
+        Tables,
         plain=lambda value: {name: part_as_dict(entry) for name, entry in value.items()},
-        doc=doc, table=part, options=known, listed=listed,
-    )  # fmt: skip
+        doc=doc,
+        table=part,
+        options=known,
+        listed=listed,
+    )
 
 
 def _refuse_change(self: Any, name: str, value: object) -> NoReturn:
@@ -466,11 +535,30 @@ def _refuse_change(self: Any, name: str, value: object) -> NoReturn:
     frozen_default=True,
     kw_only_default=True,
     field_specifiers=(
-        quantity, measure, measure_points, number, count, choice, text, file_path, flag,
-        names, interval, vector, whole_numbers, moments, course, schedule, quantities, texts,
-        drawn_numbers, table, variant, tables,
+        quantity,
+        measure,
+        measure_points,
+        number,
+        count,
+        choice,
+        text,
+        file_path,
+        flag,
+        names,
+        interval,
+        vector,
+        whole_numbers,
+        moments,
+        course,
+        schedule,
+        quantities,
+        texts,
+        drawn_numbers,
+        table,
+        variant,
+        tables,
     ),
-)  # fmt: skip
+)
 def parameters(cls: type[T]) -> type[T]:
     """Make a frozen dataclass, with keyword arguments only, that converts and checks its fields."""
     cls.__post_init__ = convert_fields  # type: ignore[attr-defined]

@@ -46,14 +46,26 @@ def begun(run: Machinery, cells: Cells, lineage: Lineage, *, given_states: bool)
         networks.begin(cells)
     cells, unsorted = sorted_in_space(bind(run.plan, cells, cells, {}, time), len(cells))
     state = RunState(
-        cells=cells, timeline=timeline, fields=run.field_system.state,
-        contacts=np.empty((0, 2), dtype=np.int64), lineage=lineage.born(first, time),
-        next_id=int(cells.id.max(initial=-1)) + 1, unsorted=unsorted, divisions=0, removals=0,
-        released=0.0, separation=None, first_states={}, exposures={},
-        named=driven.named_at_start(run.plan, first), replays=Replays(),
-        stability=Stability() if run.mover.limit > 0.0 else None, work={}, cavity=None,
+        cells=cells,
+        timeline=timeline,
+        fields=run.field_system.state,
+        contacts=np.empty((0, 2), dtype=np.int64),
+        lineage=lineage.born(first, time),
+        next_id=int(cells.id.max(initial=-1)) + 1,
+        unsorted=unsorted,
+        divisions=0,
+        removals=0,
+        released=0.0,
+        separation=None,
+        first_states={},
+        exposures={},
+        named=driven.named_at_start(run.plan, first),
+        replays=Replays(),
+        stability=Stability() if run.mover.limit > 0.0 else None,
+        work={},
+        cavity=None,
         inside=() if networks is None else networks.columns,
-    )  # fmt: skip
+    )
     lap = Laps(run.wall)
     motion = run.motion(state, run.signals_of(state), time, time, cells.radius)
     touching = run.mover.contacts(cells, motion)

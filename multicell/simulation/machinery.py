@@ -102,6 +102,13 @@ class Machinery:
         """
         gradients = self.field_system.gradients(state.cells)
         return motion_of(
-            self.plan, state.cells, radius, begin, end, signals=found, gradients=gradients,
-            contacts=state.contacts, named=state.named,
-        )  # fmt: skip
+            self.plan,
+            state.cells,
+            radius,
+            begin,
+            end,
+            signals=found,
+            gradients=gradients,
+            contacts=state.contacts,
+            named=state.named,
+        )

@@ -134,9 +134,13 @@ class RunState:
         stored = {name: read(getattr(known, entry)) for name, entry, _, read in _PROGRESS}
         cells, contacts = frame.cells.copy(), np.array(frame.contacts)
         return cls(
-            cells=cells, timeline=timeline, fields=fields, contacts=contacts, lineage=lineage,
+            cells=cells,
+            timeline=timeline,
+            fields=fields,
+            contacts=contacts,
+            lineage=lineage,
             **stored,
-        )  # fmt: skip
+        )
 
     def progress(self) -> Progress:
         """Return the part of a frame to resume from, beside cells and fields."""
@@ -149,9 +153,12 @@ class RunState:
         if not shared:
             cells, found = cells.copy(), {name: values.copy() for name, values in found.items()}
         return replace(
-            self.view(), cells=cells, concentrations=found, fields=self.fields.fields(),
+            self.view(),
+            cells=cells,
+            concentrations=found,
+            fields=self.fields.fields(),
             progress=self.progress(),
-        )  # fmt: skip
+        )
 
     def view(self) -> Frame:
         """Return it as a frame without fields and what only those need who resume from it."""

@@ -131,9 +131,12 @@ def parse_axis(key: str, text: str | Sequence[Any], scene: Scene) -> Axis:
     plain = [found.plain(value) for value in given]
     numeric = all(isinstance(x, int | float) and not isinstance(x, bool) for x in plain)
     return Axis(
-        found.name, tuple(given), found.unit, tuple(map(float, plain)) if numeric else None,
+        found.name,
+        tuple(given),
+        found.unit,
+        tuple(map(float, plain)) if numeric else None,
         found.name.rpartition(".")[2],
-    )  # fmt: skip
+    )
 
 
 def parse_range(key: str, text: str | Sequence[Any], scene: Scene) -> Range:

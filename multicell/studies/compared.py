@@ -32,14 +32,23 @@ class PointComparison:
     def row(self) -> dict[str, Any]:
         """Return the coordinates, number of runs and of data, and the sum of squares."""
         found = self.comparison
-        return {**self.coordinates, "runs": len(found.runs), "data": len(found.data),
-                "chi_squared": found.chi_squared}  # fmt: skip
+        return {
+            **self.coordinates,
+            "runs": len(found.runs),
+            "data": len(found.data),
+            "chi_squared": found.chi_squared,
+        }
 
 
 def compare_points(
-    study: Study, source: Any, *, columns: str | Mapping[str, str] | None = None,
-    where: str | None = None, sd: float | None = None, specimens: str = "same",
-) -> list[PointComparison]:  # fmt: skip
+    study: Study,
+    source: Any,
+    *,
+    columns: str | Mapping[str, str] | None = None,
+    where: str | None = None,
+    sd: float | None = None,
+    specimens: str = "same",
+) -> list[PointComparison]:
     """Return the points of a study that have data, the one nearest to them first.
 
     All runs of a point that are done are compared together; nearest is the smallest χ² a datum.

@@ -104,10 +104,9 @@ def gradient(
     values = [_value(base, key) for key in found]
     ends = [_ends(key, value, step) for key, value in zip(found, values, strict=True)]
     points = {
-        key.name: [ends[k][side] if k == j else value
-                   for j in range(len(found)) for side in (0, 1)]
+        key.name: [ends[k][side] if k == j else value for j in range(len(found)) for side in (0, 1)]
         for k, (key, value) in enumerate(zip(found, values, strict=True))
-    }  # fmt: skip
+    }
     plan = make_plan(base, points=points, seeds=seeds)
     with folder_for(output) as folder:
         study = write_study(plan, folder)

@@ -208,20 +208,35 @@ def _scheduled(scene: Scene, field: str) -> bool:
 
 
 _RULES: Final[Sequence[tuple[str, Callable[..., Any], str]]] = (
-    ("growth.cycle_time growth.cycle_variation", lambda s: s.growth.phases,
-     "the phases of the cycle say how long it lasts"),
-    ("growth.hypertrophy", lambda s: not s.growth.phases,
-     "without phases a cell divides at the volume of division"),
-    ("growth.phases.*.variation", lambda s, name: s.growth.phases[name].distribution == "fixed",
-     "the phase has a fixed duration"),
+    (
+        "growth.cycle_time growth.cycle_variation",
+        lambda s: s.growth.phases,
+        "the phases of the cycle say how long it lasts",
+    ),
+    (
+        "growth.hypertrophy",
+        lambda s: not s.growth.phases,
+        "without phases a cell divides at the volume of division",
+    ),
+    (
+        "growth.phases.*.variation",
+        lambda s, name: s.growth.phases[name].distribution == "fixed",
+        "the phase has a fixed duration",
+    ),
     ("integrator.step", _controlled, "the method {method!r} chooses its steps"),
     ("integrator.*", _lacks, "the method {method!r} has no {0}"),
-    ("cells.young", lambda s: s.types and all(k.young is not None for k in s.types.values()),
-     "every type of cell has a Young's modulus of its own"),
-    ("contact.surface_energy", lambda s: any(k.surface_energy for k in s.types.values()),
-     "every pair of types has a surface energy of its own"),
+    (
+        "cells.young",
+        lambda s: s.types and all(k.young is not None for k in s.types.values()),
+        "every type of cell has a Young's modulus of its own",
+    ),
+    (
+        "contact.surface_energy",
+        lambda s: any(k.surface_energy for k in s.types.values()),
+        "every pair of types has a surface energy of its own",
+    ),
     ("nutrients.*.boundary", _scheduled, "'media' says what the medium is from the start on"),
-)  # fmt: skip
+)
 """Keys, what holds where they have no effect, and that in words.
 
 Both get the scene, and the names that stand for the stars of the key.

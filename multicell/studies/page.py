@@ -157,10 +157,16 @@ def _run_table(
             *(of.number_text(value, 4) if np.isfinite(value) else "—" for value in values),
             clock(state.wall) if np.isfinite(state.wall) else "—",
         ]
-        rows.append({"name": run.name, "state": state.state, "reason": state.reason,
-                     "cells": cells})  # fmt: skip
-    heads = [*(own.label for _, own in axes), "seed", "state",
-             *(of.label(table, name) for name in names), "wall time"]  # fmt: skip
+        rows.append(
+            {"name": run.name, "state": state.state, "reason": state.reason, "cells": cells}
+        )
+    heads = [
+        *(own.label for _, own in axes),
+        "seed",
+        "state",
+        *(of.label(table, name) for name in names),
+        "wall time",
+    ]
     return {"heads": heads, "rows": rows, "left_out": len(states) - len(chosen)}
 
 

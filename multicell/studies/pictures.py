@@ -174,8 +174,9 @@ class StudyPlots:
         subtitle = _subtitle(observable, "over time", seeds, "mean, band: ± one standard deviation")
         if table.sizes.get(of.POINT, 0) > _MAX_CURVES:
             subtitle += f"; {_MAX_CURVES} of {table.sizes[of.POINT]:,} points"
-        figure, grid = panels(self._title, subtitle, max(1, len(names)), columns, height,
-                              sharex=True, sharey=True)  # fmt: skip
+        figure, grid = panels(
+            self._title, subtitle, max(1, len(names)), columns, height, sharex=True, sharey=True
+        )
         unit = time_unit(float(table[of.TIME].max()))
         time = table[of.TIME].values / unit.seconds
         _set_limits(grid[0], table[observable].values)
@@ -253,9 +254,13 @@ def _draw_map(axes: Axes, mean: FloatArray, states: NDArray[Any], norm: Normaliz
 
 
 def _write_tile(
-    axes: Axes, place: tuple[int, ...], values: FloatArray, runs: NDArray[Any], norm: Normalize,
+    axes: Axes,
+    place: tuple[int, ...],
+    values: FloatArray,
+    runs: NDArray[Any],
+    norm: Normalize,
     font: float,
-) -> None:  # fmt: skip
+) -> None:
     """Write mean and deviation in a tile and of how many seeds; or why there is no number."""
     known = values[np.isfinite(values)]
     failed = (runs == "failed").sum()
@@ -269,8 +274,17 @@ def _write_tile(
         there = (runs == of.RUN_DONE).any()
         lines = ["none" if there else "failed" if failed else "not run"]
         colour = style.RED if failed and not there else style.QUIET
-    axes.text(place[1] + 0.5, place[0] + 0.5, "\n".join(lines), ha="center", va="center",
-              fontsize=font, color=colour, weight="bold", linespacing=1.2)  # fmt: skip
+    axes.text(
+        place[1] + 0.5,
+        place[0] + 0.5,
+        "\n".join(lines),
+        ha="center",
+        va="center",
+        fontsize=font,
+        color=colour,
+        weight="bold",
+        linespacing=1.2,
+    )
 
 
 def _name_tiles(axis: Any, side: of.Scale) -> None:
@@ -309,8 +323,14 @@ def _draw_curves(
         Line2D([], [], color=colours(value), lw=2.2, label=text)
         for value, text in zip(shown.values, texts, strict=True)
     ]
-    axes.legend(handles=handles, title=shown.label, fontsize=10, title_fontsize=10,
-                loc="best", alignment="left")  # fmt: skip
+    axes.legend(
+        handles=handles,
+        title=shown.label,
+        fontsize=10,
+        title_fontsize=10,
+        loc="best",
+        alignment="left",
+    )
 
 
 def _draw_curve(
@@ -373,13 +393,26 @@ def _draw_response(
     mean, sd = of.statistics(flat)
     order = np.argsort(places, kind="stable")
     axes.errorbar(
-        places[order], mean[order], sd[order] if flat.shape[1] == values.sizes[of.SEED] else None,
-        fmt="o" if sampled or words else "o-", color=style.BLUE if sampled else style.QUIET, ms=4.5,
-        lw=1.4, elinewidth=1.1, capsize=0 if sampled else 2.5, zorder=3,
-    )  # fmt: skip
+        places[order],
+        mean[order],
+        sd[order] if flat.shape[1] == values.sizes[of.SEED] else None,
+        fmt="o" if sampled or words else "o-",
+        color=style.BLUE if sampled else style.QUIET,
+        ms=4.5,
+        lw=1.4,
+        elinewidth=1.1,
+        capsize=0 if sampled else 2.5,
+        zorder=3,
+    )
     lost = places[(runs == "failed").any(axis=1)]
-    axes.plot(lost, np.full(len(lost), 0.02), "x", color=style.RED, zorder=4,
-              transform=axes.get_xaxis_transform())  # fmt: skip
+    axes.plot(
+        lost,
+        np.full(len(lost), 0.02),
+        "x",
+        color=style.RED,
+        zorder=4,
+        transform=axes.get_xaxis_transform(),
+    )
     axes.set_xlabel(shown.label)
     if words:
         axes.set_xticks(range(len(shown.texts)), shown.texts)

@@ -24,8 +24,15 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.studies.engine import RunOutcome
 
-USUAL: Final = ("cells", "diameter", "viable_rim", "necrotic_radius", "heterotypic_fraction",
-                 "pull", "largest_pressure")  # fmt: skip
+USUAL: Final = (
+    "cells",
+    "diameter",
+    "viable_rim",
+    "necrotic_radius",
+    "heterotypic_fraction",
+    "pull",
+    "largest_pressure",
+)
 _MAX_USUAL: Final = 4  # observables of a study that names none
 
 

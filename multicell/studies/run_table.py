@@ -188,10 +188,18 @@ def compare_coarse(
             mean, its = mean_and_error(found["fine"][name][0, :, t])
             other, error = mean_and_error(found["coarse"][name][0, :, t])
             apart = other - mean
-            rows.append({
-                "observable": name, "unit": known_unit(name), "time": float(time),
-                "fine": mean, "fine_se": its, "coarse": other, "coarse_se": error,
-                "difference": apart, "difference_se": float(np.hypot(its, error)),
-                "relative": apart / mean if mean else float("nan"),
-            })  # fmt: skip
+            rows.append(
+                {
+                    "observable": name,
+                    "unit": known_unit(name),
+                    "time": float(time),
+                    "fine": mean,
+                    "fine_se": its,
+                    "coarse": other,
+                    "coarse_se": error,
+                    "difference": apart,
+                    "difference_se": float(np.hypot(its, error)),
+                    "relative": apart / mean if mean else float("nan"),
+                }
+            )
     return RunTable(rows, notes, {"factor": float(factor), "seeds": seeds, **seconds})

@@ -23,8 +23,12 @@ holds observables of short runs beside it.
 
 _LENGTH: Final = 24  # hexadecimal digits of a name: a clash is expected after 3e14 runs
 _ORDERED: Final = (
-    "chemotaxis", "motions", "nutrients", "reactions", "types",
-)  # fmt: skip
+    "chemotaxis",
+    "motions",
+    "nutrients",
+    "reactions",
+    "types",
+)
 """Tables whose order decides results: which cells are of which type, which sum comes first."""
 
 

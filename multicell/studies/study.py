@@ -144,8 +144,9 @@ class Study:
         """Return the table with one row for each run and time; units are in ``frame.attrs``."""
         table = self.to_xarray()
         frame = table.to_dataframe().reset_index()
-        frame.attrs = {str(n): v.attrs["units"] for n, v in table.variables.items()
-                       if v.attrs.get("units")}  # fmt: skip
+        frame.attrs = {
+            str(n): v.attrs["units"] for n, v in table.variables.items() if v.attrs.get("units")
+        }
         return frame
 
     def compare_with(self, table: Any, **how: Any) -> list[PointComparison]:

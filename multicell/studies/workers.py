@@ -43,7 +43,9 @@ _SETTINGS: Final[dict[str, Any]] = {
     # one thread a worker. Dask would also have the C library give memory back at once, which makes
     # all larger arrays cost page faults
     "distributed.nanny.pre-spawn-environ": {
-        "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1",
+        "OMP_NUM_THREADS": "1",
+        "MKL_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
     },
     # a worker holds no data; only what takes the memory of the others is ended
     "distributed.worker.memory.target": False,
@@ -60,7 +62,7 @@ _SETTINGS: Final[dict[str, Any]] = {
     "distributed.worker.http.routes": [],
     # processes that start again while the study ends have nothing to tell the user
     "logging": dict.fromkeys((*_QUIET, "distributed.client", "tornado.application"), "critical"),
-}  # fmt: skip
+}
 
 
 @contextmanager
@@ -394,9 +396,10 @@ def check_folder(client: Client, folder: Path) -> None:
             path.unlink()
     wrong = [f"{address} {said}" for address, said in seen.items() if said]
     _refuse(
-        wrong, f"runs are written to '{folder}'",
+        wrong,
+        f"runs are written to '{folder}'",
         "All workers need the folder of the study under the same path, on a shared file system",
-    )  # fmt: skip
+    )
 
 
 def _sees(path: str) -> str:

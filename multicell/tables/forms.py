@@ -18,10 +18,12 @@ SAMPLE: Final = 300  # lines that the form of a table is found from
 _DOUBT: Final = 0.4  # twice what charset-normalizer allows: labels of a table are no sentences
 _BLOCK: Final = 2**20  # bytes that are decoded at a time
 _MARKS: Final = (
-    (codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF32_LE, "utf-32"),
-    (codecs.BOM_UTF32_BE, "utf-32"), (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF32_LE, "utf-32"),
+    (codecs.BOM_UTF32_BE, "utf-32"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
-)  # fmt: skip
+)
 """Byte order marks; that of UTF-32 begins like that of UTF-16."""
 _SIGNS: Final = frozenset("µ²³°±·×–—Ø‰")
 """Letters beyond ASCII in the titles of people who write English."""

@@ -203,8 +203,10 @@ def mapped(
     A length whose unit is an area or a volume is that of the disc or ball of this size. Columns
     side by side are put below each other, the others repeated, with a column ``specimen``.
     """
-    sources = {name: column_source(name, text, list(columns), table)
-               for name, text in names.columns.items()}  # fmt: skip
+    sources = {
+        name: column_source(name, text, list(columns), table)
+        for name, text in names.columns.items()
+    }
     count = len(next(iter(columns.values()), ()))
     wide = [name for name, source in sources.items() if source.wide]
     if len(wide) > 1:
@@ -213,8 +215,10 @@ def mapped(
     side = [title for title in sources[wide[0]].titles if title not in named] if wide else [""]
     found: dict[str, NDArray[Any]] = {}
     for name, source in sources.items():
-        alone = [source._replace(titles=(title,), wide=False) if source.wide else source
-                 for title in side]  # fmt: skip
+        alone = [
+            source._replace(titles=(title,), wide=False) if source.wide else source
+            for title in side
+        ]
         made = [_column(name, one, columns, names, place, table, count) for one in alone]
         found[made[0][0]] = np.concatenate([values for _, values in made])
     if wide and "specimen" not in sources:
@@ -223,9 +227,14 @@ def mapped(
 
 
 def _column(
-    name: str, source: ColumnSource, columns: Mapping[str, NDArray[Any]], names: ColumnMap,
-    place: Place, table: str, count: int,
-) -> tuple[str, NDArray[Any]]:  # fmt: skip
+    name: str,
+    source: ColumnSource,
+    columns: Mapping[str, NDArray[Any]],
+    names: ColumnMap,
+    place: Place,
+    table: str,
+    count: int,
+) -> tuple[str, NDArray[Any]]:
     """Return title and content of one column."""
     if not source.titles:
         return _titled(name, source.unit), np.full(count, source.scale)

@@ -57,8 +57,10 @@ def _rows(values: Any, formulas: Any, place: str) -> Iterator[Row]:
     width = 0
     pairs = zip(values.iter_rows(), formulas.iter_rows(), strict=False)
     for number, (stored, written) in enumerate(pairs, start=1):
-        fields = [_field(cell, other, f"{place}, row {number}")
-                  for cell, other in zip(stored, written, strict=False)]  # fmt: skip
+        fields = [
+            _field(cell, other, f"{place}, row {number}")
+            for cell, other in zip(stored, written, strict=False)
+        ]
         if not any(fields) or fields[0].startswith("#"):
             continue
         if not width:

@@ -33,83 +33,113 @@ class Writer(NamedTuple):
 def _axes(*titles: str, unit: str = "pixel") -> dict[str, tuple[str, ...]]:
     """Return the columns of x, y and z."""
     along = "slice" if unit == "pixel" else unit
-    return {axis: (f'"{title}" {along if axis == "z" else unit}',)
-            for axis, title in zip("xyz", titles, strict=False)}  # fmt: skip
+    return {
+        axis: (f'"{title}" {along if axis == "z" else unit}',)
+        for axis, title in zip("xyz", titles, strict=False)
+    }
 
 
 WRITERS: Final = (
     Writer(
-        "TrackMate spots", ("TRACK_ID", "POSITION_X", "POSITION_Y", "FRAME"),
+        "TrackMate spots",
+        ("TRACK_ID", "POSITION_X", "POSITION_Y", "FRAME"),
         {
-            "x": ("POSITION_X {unit}",), "y": ("POSITION_Y {unit}",), "z": ("POSITION_Z {unit}",),
-            "radius": ("RADIUS {unit}",), "frame": ("FRAME",),
+            "x": ("POSITION_X {unit}",),
+            "y": ("POSITION_Y {unit}",),
+            "z": ("POSITION_Z {unit}",),
+            "radius": ("RADIUS {unit}",),
+            "frame": ("FRAME",),
             "time": ("POSITION_T s",),
         },
         units="POSITION_X",
     ),
     Writer(
-        "positions of Imaris", ("Position X", "Position Y", "Position Z", "Unit"),
+        "positions of Imaris",
+        ("Position X", "Position Y", "Position Z", "Unit"),
         _axes("Position X", "Position Y", "Position Z", unit="{unit}") | {"frame": ("Time",)},
         units="Unit",
     ),
     Writer(
-        "objects of CellProfiler", ("ImageNumber", "ObjectNumber", "Location_Center_X"),
+        "objects of CellProfiler",
+        ("ImageNumber", "ObjectNumber", "Location_Center_X"),
         _axes("Location_Center_X", "Location_Center_Y", "Location_Center_Z")
-        | {"radius": ("AreaShape_Volume pixel^3", "AreaShape_Area pixel^2"),
-           "frame": ("ImageNumber",)},
+        | {
+            "radius": ("AreaShape_Volume pixel^3", "AreaShape_Area pixel^2"),
+            "frame": ("ImageNumber",),
+        },
     ),
     Writer(
-        "objects of CellProfiler", ("ImageNumber", "ObjectNumber", "AreaShape_Center_X"),
+        "objects of CellProfiler",
+        ("ImageNumber", "ObjectNumber", "AreaShape_Center_X"),
         _axes("AreaShape_Center_X", "AreaShape_Center_Y", "AreaShape_Center_Z")
-        | {"radius": ("AreaShape_Volume pixel^3", "AreaShape_Area pixel^2"),
-           "frame": ("ImageNumber",)},
+        | {
+            "radius": ("AreaShape_Volume pixel^3", "AreaShape_Area pixel^2"),
+            "frame": ("ImageNumber",),
+        },
     ),
     Writer(
-        "regions of scikit-image (Cellpose, StarDist)", ("centroid-0", "centroid-1", "centroid-2"),
+        "regions of scikit-image (Cellpose, StarDist)",
+        ("centroid-0", "centroid-1", "centroid-2"),
         _axes("centroid-2", "centroid-1", "centroid-0") | {"radius": ("area pixel^3",)},
     ),
     Writer(
-        "regions of scikit-image (Cellpose, StarDist)", ("centroid-0", "centroid-1"),
+        "regions of scikit-image (Cellpose, StarDist)",
+        ("centroid-0", "centroid-1"),
         _axes("centroid-1", "centroid-0") | {"radius": ("area pixel^2",)},
     ),
     Writer(
-        "detections of QuPath", ("Centroid X µm", "Centroid Y µm"),
+        "detections of QuPath",
+        ("Centroid X µm", "Centroid Y µm"),
         _axes("Centroid X µm", "Centroid Y µm", unit="um")
-        | {"radius": ('"Cell: Area µm^2" um^2', '"Cell: Area" um^2', '"Nucleus: Area µm^2" um^2',
-                      '"Nucleus: Area" um^2', '"Area µm^2" um^2'),
-           "type": ("Classification", "Class")},
+        | {
+            "radius": (
+                '"Cell: Area µm^2" um^2',
+                '"Cell: Area" um^2',
+                '"Nucleus: Area µm^2" um^2',
+                '"Nucleus: Area" um^2',
+                '"Area µm^2" um^2',
+            ),
+            "type": ("Classification", "Class"),
+        },
     ),
     Writer(
-        "the 3D Objects Counter of ImageJ", ("Nb of obj. voxels", "X", "Y", "Z"),
+        "the 3D Objects Counter of ImageJ",
+        ("Nb of obj. voxels", "X", "Y", "Z"),
         _axes("X", "Y", "Z") | {"radius": ('"Nb of obj. voxels" pixel^3',)},
     ),
     Writer(
-        "MorphoLibJ's regions", ("Label", "Volume", "Centroid.X", "Centroid.Y", "Centroid.Z"),
+        "MorphoLibJ's regions",
+        ("Label", "Volume", "Centroid.X", "Centroid.Y", "Centroid.Z"),
         _axes("Centroid.X", "Centroid.Y", "Centroid.Z") | {"radius": ("Volume pixel^3",)},
     ),
     Writer(
-        "measurements of ImageJ", ("Area", "Mean", "X", "Y"),
+        "measurements of ImageJ",
+        ("Area", "Mean", "X", "Y"),
         _axes("X", "Y") | {"radius": ("Area pixel^2",), "frame": ("Frame",)},
     ),
     Writer(
-        "measurements of ImageJ", ("Area", "Mean", "XM", "YM"),
+        "measurements of ImageJ",
+        ("Area", "Mean", "XM", "YM"),
         _axes("XM", "YM") | {"radius": ("Area pixel^2",), "frame": ("Frame",)},
     ),
     Writer(
-        "objects of ilastik", ("Center_of_the_object_0", "Center_of_the_object_1"),
+        "objects of ilastik",
+        ("Center_of_the_object_0", "Center_of_the_object_1"),
         _axes("Center_of_the_object_0", "Center_of_the_object_1", "Center_of_the_object_2")
         | {"type": ("Predicted_Class", '"Predicted Class"'), "frame": ("timestep", "frame")},
     ),
     Writer(
-        "points of napari", ("index", "axis-0", "axis-1", "axis-2"),
+        "points of napari",
+        ("index", "axis-0", "axis-1", "axis-2"),
         _axes("axis-2", "axis-1", "axis-0"),
     ),
     Writer("points of napari", ("index", "axis-0", "axis-1"), _axes("axis-1", "axis-0")),
     Writer(
-        "cells of PhysiCell", ("x", "y", "z", "type"),
+        "cells of PhysiCell",
+        ("x", "y", "z", "type"),
         _axes("x", "y", "z", unit="um") | {"radius": ("volume um^3",), "type": ("type",)},
     ),
-)  # fmt: skip
+)
 """After the documentation and the files of each program; the first that fits is taken."""
 
 

@@ -64,9 +64,14 @@ def stability_map(result: StabilityMap) -> Figure:
     if "step" in groups:
         handles.append(Line2D([], [], color=INK, lw=2.0, label="limit in theory"))
     figure.legend(
-        handles=handles, loc="lower left", bbox_to_anchor=(0.125, 0.015), ncols=4, fontsize=10.5,
-        columnspacing=1.5, handlelength=1.4,
-    )  # fmt: skip
+        handles=handles,
+        loc="lower left",
+        bbox_to_anchor=(0.125, 0.015),
+        ncols=4,
+        fontsize=10.5,
+        columnspacing=1.5,
+        handlelength=1.4,
+    )
     return figure
 
 
@@ -81,9 +86,15 @@ def _draw_strips(axes: Axes, strips: Mapping[str, Sequence[Row]], scale: float) 
         edges = [settings[0] / _OVERHANG, *between, settings[-1] * _OVERHANG]
         for row, (low, high) in zip(rows, itertools.pairwise(edges), strict=True):
             axes.barh(
-                level, high - low, left=low, height=0.66, color=TRIAL_COLOURS[row["kind"]], lw=0,
-                label=row["kind"], gid=f"{name}|{row['kind']}",
-            )  # fmt: skip
+                level,
+                high - low,
+                left=low,
+                height=0.66,
+                color=TRIAL_COLOURS[row["kind"]],
+                lw=0,
+                label=row["kind"],
+                gid=f"{name}|{row['kind']}",
+            )
         axes.plot(settings, [level] * len(settings), ".", ms=2.2, color=INK, alpha=0.55)
         limit = rows[0]["theory"] / scale
         if rows[0]["control"] == "step" and math.isfinite(limit):

@@ -57,20 +57,27 @@ _SHORT = ((4.59 * 60, False), (15.5 * 60, True))
 # 0.0432 divisions an hour: PhysiCell's standard models
 _LIVE = CycleModel("live", ((60.0 / 0.0432, False),), ("G1",), doubles_before=False)
 MODELS: Final[Mapping[int, CycleModel]] = {
-    0: CycleModel("Ki67 (advanced)", ((3.62 * 60, False), (13.0 * 60, True), (2.5 * 60, True)),
-                  ("G1", "S", "G1")),
+    0: CycleModel(
+        "Ki67 (advanced)",
+        ((3.62 * 60, False), (13.0 * 60, True), (2.5 * 60, True)),
+        ("G1", "S", "G1"),
+    ),
     1: CycleModel("Ki67 (basic)", _SHORT, ("G1", "S")),
-    2: CycleModel("flow cytometry (basic)",
-                  ((1 / 0.00324, False), (1 / 0.00208, False), (1 / 0.00333, False)),
-                  ("G1", "S", "M")),
+    2: CycleModel(
+        "flow cytometry (basic)",
+        ((1 / 0.00324, False), (1 / 0.00208, False), (1 / 0.00333, False)),
+        ("G1", "S", "M"),
+    ),
     3: _LIVE,
     4: _LIVE,
     5: _LIVE,
-    6: CycleModel("flow cytometry (separated)",
-                  ((1 / 0.00335, False), (1 / 0.00208, False), (1 / 0.00417, False),
-                   (1 / 0.0167, False)), _NAMES),
+    6: CycleModel(
+        "flow cytometry (separated)",
+        ((1 / 0.00335, False), (1 / 0.00208, False), (1 / 0.00417, False), (1 / 0.0167, False)),
+        _NAMES,
+    ),
     7: CycleModel("cycling-quiescent", _SHORT, ("G1", "S")),
-}  # fmt: skip
+}
 """By their codes."""
 
 
@@ -290,9 +297,12 @@ def _set_paces(model: Model, known: Mapping[CellDefinition, Cycle], lead: CellDe
         }
 
         def pace(
-            kind: CellDefinition, rule: Rule | None = None, phase: str = phase,
-            length: float = length, exits: Mapping[Rule, int] = exits,
-        ) -> float:  # fmt: skip
+            kind: CellDefinition,
+            rule: Rule | None = None,
+            phase: str = phase,
+            length: float = length,
+            exits: Mapping[Rule, int] = exits,
+        ) -> float:
             cycle, minutes = cycling[kind], 0.0
             for place, home in enumerate(cycle.model.homes):
                 if home == phase:
@@ -339,8 +349,11 @@ def _account_for(
     divides = lead is not None and math.isfinite(cycle.minutes)
     homes = ", ".join(f"{n} {home}" for n, home in enumerate(cycle.model.homes))
     note = f"cells grow at their rate however long phases last; its phases here: {homes}"
-    said = (Fate.APPROXIMATED, "growth.phases", note) if divides else (
-        Fate.MAPPED, "types.*.cycle_scale", "these cells do not divide")  # fmt: skip
+    said = (
+        (Fate.APPROXIMATED, "growth.phases", note)
+        if divides
+        else (Fate.MAPPED, "types.*.cycle_scale", "these cells do not divide")
+    )
     account.take(element, *said, cycle.model.name)
     fixed = [[stage.fixed for stage in known[one].stages] for one in (kind, lead or kind)]
     alike = lead is not None and cycle.model is known[lead].model and fixed[0] == fixed[1]

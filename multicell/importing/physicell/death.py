@@ -18,10 +18,12 @@ APOPTOSIS, NECROSIS = "100", "101"
 _NAMES = {APOPTOSIS: "apoptosis", NECROSIS: "necrosis"}
 _REMOVED = 0.1  # of the birth volume
 _USUAL = {
-    "unlysed_fluid_change_rate": 0.67 / 60.0, "lysed_fluid_change_rate": 0.05 / 60.0,
+    "unlysed_fluid_change_rate": 0.67 / 60.0,
+    "lysed_fluid_change_rate": 0.05 / 60.0,
     "cytoplasmic_biomass_change_rate": 0.0032 / 60.0,
-    "nuclear_biomass_change_rate": 0.013 / 60.0, "relative_rupture_volume": 2.0,
-}  # fmt: skip
+    "nuclear_biomass_change_rate": 0.013 / 60.0,
+    "relative_rupture_volume": 2.0,
+}
 """Of necrosis; those of apoptosis have no counterpart."""
 
 

@@ -233,9 +233,13 @@ def _set_field(model: Model, name: str, known: dict[CellDefinition, SubstanceExc
 
 
 def _respond(
-    model: Model, what: str, key: str, of: Callable[[CellDefinition, Rule | None], float],
-    limits: dict[CellDefinition, float], rules: list[Rule],
-) -> None:  # fmt: skip
+    model: Model,
+    what: str,
+    key: str,
+    of: Callable[[CellDefinition, Rule | None], float],
+    limits: dict[CellDefinition, float],
+    rules: list[Rule],
+) -> None:
     """Let types do a part of what any of them does at most with a field."""
     most = max(limits.values())
     for kind, limit in limits.items():

@@ -135,8 +135,9 @@ def _read_map(model: Model, kind: CellDefinition, one: Element, network: Network
     text = f"{species}: {code}" if own else ""  # of a parent it has an entry already
     note = f"in proportion up to {top:g}"
     signal = f"{key}.{species}"
-    model.rules.append(Rule(one.path, text, kind, signal, behaviour, top, top, 1.0, note,
-                            element=one))  # fmt: skip
+    model.rules.append(
+        Rule(one.path, text, kind, signal, behaviour, top, top, 1.0, note, element=one)
+    )
 
 
 def _largest(network: Network, species: str) -> float:

@@ -51,16 +51,21 @@ def read_motility(model: Model) -> None:
     moving = {kind: how for kind, how in moving.items() if how.fastest > 0.0}
     # the pattern of most cells that follow something, at the largest speed that any of them has
     lead = max(
-        moving, key=lambda k: (bool(moving[k].along) and k.count > 0, k.count, moving[k].fastest),
+        moving,
+        key=lambda k: (bool(moving[k].along) and k.count > 0, k.count, moving[k].fastest),
         default=None,
-    )  # fmt: skip
+    )
     if lead is not None:
         _set_scene(model, lead, moving)
         speeds = {kind: max(how.speed, 0.0) / how.fastest for kind, how in moving.items()}
         set_behaviour(
-            model, "speed", 1.0, speeds, rules_of(model, "migration speed", moving),
+            model,
+            "speed",
+            1.0,
+            speeds,
+            rules_of(model, "migration speed", moving),
             lambda rule: max(rule.end, 0.0) / moving[rule.kind].fastest,
-        )  # fmt: skip
+        )
     for kind in model.kinds:
         _account_for(model, kind, moving.get(kind), moving[lead] if lead else None)
 
@@ -76,9 +81,12 @@ def _migration(model: Model, kind: CellDefinition) -> Migration:
     speed = kind.number_of("motility/speed", 1.0)
     ends = [rule.end for rule in rules_of(model, "migration speed", [kind])]
     return Migration(
-        speed, max(speed, *ends, 0.0), kind.number_of("motility/persistence_time", 1.0),
-        bias, tuple(along),
-    )  # fmt: skip
+        speed,
+        max(speed, *ends, 0.0),
+        kind.number_of("motility/persistence_time", 1.0),
+        bias,
+        tuple(along),
+    )
 
 
 def _on(kind: CellDefinition, tag: str) -> Element | None:
@@ -154,9 +162,13 @@ def _set_biases(model: Model, lead: Migration, moving: dict[CellDefinition, Migr
     own = {kind: signs[kind] * how.bias for kind, how in moving.items()}
     rules = rules_of(model, "migration bias", [kind for kind in moving if signs[kind]])
     set_behaviour(
-        model, "bias", model.part("motility")["bias"], own, rules,
+        model,
+        "bias",
+        model.part("motility")["bias"],
+        own,
+        rules,
         lambda rule: signs[rule.kind] * min(max(rule.end, 0.0), 1.0),
-    )  # fmt: skip
+    )
 
 
 def _step(model: Model) -> float:

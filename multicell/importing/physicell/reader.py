@@ -47,52 +47,88 @@ _SETTINGS: Final[Sequence[tuple[str, Fate, str, str]]] = (
     (r"save/full_data", _MAPPED, "output.every", ""),
     (r"save/folder", _LEFT, "", "multicell run -o names the folder"),
     (r"save", _LEFT, "", "pictures and reports are made of the results of any run"),
-    (r"options/virtual_wall", _NEAR, "domain",
-     "elastic walls; PhysiCell's push is quadratic, and cells without walls stop outside"),
+    (
+        r"options/virtual_wall",
+        _NEAR,
+        "domain",
+        "elastic walls; PhysiCell's push is quadratic, and cells without walls stop outside",
+    ),
     (r"options/(disable_automated|legacy)|cell_rules/settings", _OFF, "", ""),
-    (r"(options|user_parameters)/random_seed", _MAPPED, "seed",
-     "the same seed gives other random numbers than in PhysiCell"),
+    (
+        r"(options|user_parameters)/random_seed",
+        _MAPPED,
+        "seed",
+        "the same seed gives other random numbers than in PhysiCell",
+    ),
     (r"user_parameters|custom_data|molecular|mechanics/cell_BM", _LEFT, "", _CODE),
     (r"microenvironment_setup/variable/.*diffusion", _MAPPED, "nutrients.*.diffusion", ""),
     (r"microenvironment_setup/variable/.*decay", _MAPPED, "nutrients.*.decay", ""),
     (r"microenvironment_setup/variable/initial", _MAPPED, "nutrients.*.boundary", ""),
     (r"microenvironment_setup/variable/Dirichlet", _MAPPED, "nutrients.*.sides", ""),
     (r"microenvironment_setup/options/calculate", _MAPPED, "", "where chemotaxis asks for them"),
-    (r"microenvironment_setup/options", _LEFT, "",
-     "fields start even, are held on sides of the box only, and are not counted inside cells"),
+    (
+        r"microenvironment_setup/options",
+        _LEFT,
+        "",
+        "fields start even, are held on sides of the box only, and are not counted inside cells",
+    ),
     (r"cycle/standard_asymmetric_division", _MAPPED, "responses.asymmetric_division_to_*", ""),
     (r"cycle", _MAPPED, "growth.phases, responses.entry_into_*", ""),
     (r"death/model/(death_)?rate", _MAPPED, "death, responses.*_rate_of_*", ""),
     (r"death/model/.*calcification|volume/calcif", _LEFT, "", "no calcium"),
     (r"death/model", _NEAR, "death", _FALLS),
     (r"volume/total", _MAPPED, "cells.division_radius, radius in cells.csv", ""),
-    (r"volume/cytoplasmic_biomass", _NEAR, "growth.volume_doubling_time, growth.parameters.target",
-     "V' = r (K - V) of the whole cell at this rate; nucleus and water have theirs in PhysiCell"),
+    (
+        r"volume/cytoplasmic_biomass",
+        _NEAR,
+        "growth.volume_doubling_time, growth.parameters.target",
+        "V' = r (K - V) of the whole cell at this rate; nucleus and water have theirs in PhysiCell",
+    ),
     (r"volume/relative_rupture", _OFF, "", "that of each model of death counts"),
     (r"volume", _LEFT, "", "a cell has one volume"),
     (r"mechanics/cell_cell_repulsion", _MAPPED, "cells.young", ""),
     (r"mechanics/relative_maximum_adhesion", _MAPPED, "contact.cutoff", ""),
-    (r"mechanics/(cell_cell_adhesion|cell_adhesion_affinities|options/set_)", _MAPPED,
-     "contact.surface_energy", ""),
+    (
+        r"mechanics/(cell_cell_adhesion|cell_adhesion_affinities|options/set_)",
+        _MAPPED,
+        "contact.surface_energy",
+        "",
+    ),
     (r"mechanics", _LEFT, "", "cells are not joined by springs"),
     (r"motility/speed", _NEAR, "motility.force", "a force that gives cells of this type the speed"),
     (r"motility/persistence_time", _MAPPED, "motility.persistence", ""),
-    (r"motility/migration_bias", _NEAR, "motility.bias",
-     "along the gradient of the moment, not that of the last change of direction"),
+    (
+        r"motility/migration_bias",
+        _NEAR,
+        "motility.bias",
+        "along the gradient of the moment, not that of the last change of direction",
+    ),
     (r"motility/options/use_2D", _LEFT, "", "motion in a plane within three dimensions"),
     (r"motility", _MAPPED, "motility.towards", ""),
     (r"secretion/.*uptake_rate", _NEAR, "nutrients.*.uptake_per_volume", _SATURATES),
-    (r"secretion/.*secretion_rate", _NEAR, "nutrients.*.secretion",
-     "S T given off, of a cell of its type's volume, and S c taken up"),
+    (
+        r"secretion/.*secretion_rate",
+        _NEAR,
+        "nutrients.*.secretion",
+        "S T given off, of a cell of its type's volume, and S c taken up",
+    ),
     (r"secretion", _MAPPED, "nutrients.*.secretion", ""),
     (r"cell_transformations", _MAPPED, "responses.change_to_*", ""),
-    (r"cell_interactions|cell_integrity", _LEFT, "",
-     "cells do not eat, attack, damage or fuse with each other"),
+    (
+        r"cell_interactions|cell_integrity",
+        _LEFT,
+        "",
+        "cells do not eat, attack, damage or fuse with each other",
+    ),
     (r"intracellular", _LEFT, "", _INSIDE),
-    (r"initial_parameter_distributions", _LEFT, "",
-     "cells of one type are alike at the start, but for cells.csv"),
+    (
+        r"initial_parameter_distributions",
+        _LEFT,
+        "",
+        "cells of one type are alike at the start, but for cells.csv",
+    ),
     (r"", _LEFT, "", "not known to this import"),
-)  # fmt: skip
+)
 """What becomes of settings where the readers of the parts state nothing else, by their tags.
 
 The first pattern that fits counts; those of a type stand without what is above them.
@@ -155,14 +191,22 @@ def _chances(kind: CellDefinition, table: str, tag: str) -> dict[str, float]:
 def _read_changes(model: Model) -> None:
     """Read how cells become others, by rates and by division, and rules about it."""
     _read_way(
-        model, "cell_transformations", "transformation_rates/transformation_rate",
-        "transform to", "change to", MINUTE,
-    )  # fmt: skip
+        model,
+        "cell_transformations",
+        "transformation_rates/transformation_rate",
+        "transform to",
+        "change to",
+        MINUTE,
+    )
     if "growth" in model.scene:
         _read_way(
-            model, "cycle/standard_asymmetric_division", "asymmetric_division_probability",
-            "asymmetric division to", "asymmetric division to", 1.0,
-        )  # fmt: skip
+            model,
+            "cycle/standard_asymmetric_division",
+            "asymmetric_division_probability",
+            "asymmetric division to",
+            "asymmetric division to",
+            1.0,
+        )
 
 
 def _read_way(

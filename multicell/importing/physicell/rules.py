@@ -189,9 +189,19 @@ def set_behaviour(
         law = {"law": "hill", "half": rule.half, "power": min(rule.power, _STEEPEST)}
         if rule.element is not None:
             law = {"law": "linear", "begin": 0.0, "end": rule.end * min(1.0, most / wanted)}
-        rule.key = _respond(model, rule.kind, behaviour, rule.signal, {
-            "signal": rule.signal, **law, "base": base, "largest": min(wanted, most), **combine,
-        })  # fmt: skip
+        rule.key = _respond(
+            model,
+            rule.kind,
+            behaviour,
+            rule.signal,
+            {
+                "signal": rule.signal,
+                **law,
+                "base": base,
+                "largest": min(wanted, most),
+                **combine,
+            },
+        )
         notes = [*rule.note.split("; "), note]
         if rule.power > _STEEPEST:
             notes.append(f"with the power {_STEEPEST:g}, the largest here")

@@ -90,8 +90,11 @@ def account_for_steps(model: Model) -> None:
         for axis in "xyz"
     }
     other["overall/dt_phenotype"] = (
-        "coupling_step", MINUTE, step, "s: motion and the cycle are held in a coupling step"
-    )  # fmt: skip
+        "coupling_step",
+        MINUTE,
+        step,
+        "s: motion and the cycle are held in a coupling step",
+    )
     for path, (key, unit, ours, why) in other.items():
         for one in model.root.all(path):
             if ours is not None and one not in model.account and one.number() * unit != ours:

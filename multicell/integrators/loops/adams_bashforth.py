@@ -130,9 +130,18 @@ def adaptive_adams(source, pairs, position, length, radius, counts, control, pat
             share, least = step, 0.02
         b, c = (-0.5 * (1.0 + r), 0.5 * r) if last > 0.0 else (0.0, -0.5)
         size = assess(
-            source, 0.5 * share, slopes[new], b * share, slopes[now], c * share, slopes[old],
-            here, trial, control, found,
-        )  # fmt: skip
+            source,
+            0.5 * share,
+            slopes[new],
+            b * share,
+            slopes[now],
+            c * share,
+            slopes[old],
+            here,
+            trial,
+            control,
+            found,
+        )
         # the formula is at its best with equal steps
         if control_step(walk, counts, control, length, size, least, 2.0, True):
             here, trial = trial, here

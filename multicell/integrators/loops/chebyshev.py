@@ -125,9 +125,12 @@ def _chebyshev(source, pairs, table, position, slope0, elapsed, step, work):
 def _estimate(step, before, after, slope0, slope, out):
     """Write the estimated error of a step."""
     x, y, f0, f, e = (
-        before.reshape(-1), after.reshape(-1), slope0.reshape(-1), slope.reshape(-1),
+        before.reshape(-1),
+        after.reshape(-1),
+        slope0.reshape(-1),
+        slope.reshape(-1),
         out.reshape(-1),
-    )  # fmt: skip
+    )
     for k in range(e.size):
         e[k] = 0.8 * (x[k] - y[k]) + 0.4 * step * (f0[k] + f[k])
 
@@ -265,9 +268,15 @@ def fixed_chebyshev(
         if stages == 0 and status == DONE and k % _AGE == 0:
             _mix(radius, vector, slope)
             rate, pairs = spectral_radius(
-                source, pairs, elapsed, position, slope, radius, vector,
+                source,
+                pairs,
+                elapsed,
+                position,
+                slope,
+                radius,
+                vector,
                 _COLD if k == 0 else _WARM,
-            )  # fmt: skip
+            )
             table = coefficients(stages_for(step, _SAFETY * rate, most_stages))
         if status == DONE:
             status, pairs = _chebyshev(source, pairs, table, position, slope, elapsed, step, work)

@@ -187,9 +187,15 @@ def _compiled_part(source, pairs, is_fast):
             _rows_if_any(source.cells.push, member),
         )
         return FastPart(
-            member, fast, share, cells, listed, _rows_of(source.rows, member), room,
+            member,
+            fast,
+            share,
+            cells,
+            listed,
+            _rows_of(source.rows, member),
+            room,
             np.empty_like(room),
-        )  # fmt: skip
+        )
 
     return run
 
@@ -244,9 +250,15 @@ def _short_steps(source, pairs, part, is_fast, position, slope, elapsed, step, r
         spent += part.share
         at = elapsed + (k + 1) * short
         if forces.forces(
-            part.cells, part.pairs, source.law, part.position, at, True, part.rows,
+            part.cells,
+            part.pairs,
+            source.law,
+            part.position,
+            at,
+            True,
+            part.rows,
             part.velocity,
-        ):  # fmt: skip
+        ):
             # a cell has left what the list allows: build it where all cells are now
             whole = trial.copy()
             _finish(is_fast, (k + 1) * short, slope, whole)

@@ -135,9 +135,15 @@ def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
                 if rest <= 0.0:
                     continue
                 begin, end = range_of(
-                    neighbour, (w * shape[1] + v) * shape[0], start, shape[0],
-                    cells[a, 0] - low[0], math.sqrt(rest), scale, a,
-                )  # fmt: skip
+                    neighbour,
+                    (w * shape[1] + v) * shape[0],
+                    start,
+                    shape[0],
+                    cells[a, 0] - low[0],
+                    math.sqrt(rest),
+                    scale,
+                    a,
+                )
             else:
                 begin, end = bins.ranges[i, neighbour, 0], bins.ranges[i, neighbour, 1]
             for block in range(begin, end, SEARCHED):

@@ -91,9 +91,17 @@ class NeighbourList:
         room = (first, second) if last is None else self._room
         # a copy of one type, for which kernels are compiled once
         found, arrays = update_list(
-            rebuild, repair, np.array(position), self.reference, self.reach, self.margin,
-            self.least, self.chunk, (first, second, *ends), *room,
-        )  # fmt: skip
+            rebuild,
+            repair,
+            np.array(position),
+            self.reference,
+            self.reach,
+            self.margin,
+            self.least,
+            self.chunk,
+            (first, second, *ends),
+            *room,
+        )
         if found != REPAIRED:
             self._room = NO_ROOM
         self.adopt(arrays)

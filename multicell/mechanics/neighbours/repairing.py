@@ -137,9 +137,15 @@ def _pairs_of(part, cell, moved, bins, first, second):
             if rest <= 0.0:
                 continue
             from_, to = range_of(
-                1, (w * shape[1] + v) * shape[0], bins.start, shape[0],
-                cells[a, 0] - low[0], math.sqrt(rest), scale, a,
-            )  # fmt: skip
+                1,
+                (w * shape[1] + v) * shape[0],
+                bins.start,
+                shape[0],
+                cells[a, 0] - low[0],
+                math.sqrt(rest),
+                scale,
+                a,
+            )
             for block in range(from_, to, SEARCHED):
                 count = collect(cells, block, min(block + SEARCHED, to), a, hits, count)
                 if count > _FOUND + SEARCHED:
@@ -228,9 +234,21 @@ def _repair(
     cell, before, wide = np.empty(total, np.int32), np.empty((total, 4)), np.empty(margin.size)
     for c in prange(chunks):
         _take_up(
-            c, chunk, mark, way, position, reference, reach, least, margin, moved, base, cell,
-            before, wide,
-        )  # fmt: skip
+            c,
+            chunk,
+            mark,
+            way,
+            position,
+            reference,
+            reach,
+            least,
+            margin,
+            moved,
+            base,
+            cell,
+            before,
+            wide,
+        )
     bins = dense_bins(reference, wide, 0.0, chunk)
     parts = (total + _PART - 1) // _PART if bins.shape[0] > 0 else 0
     new_first = np.empty(_FOUND * total, np.int32)

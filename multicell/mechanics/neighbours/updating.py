@@ -55,9 +55,19 @@ def update_list(
     first, second, start, inner_end, outer_end = pairs
     if repair != 0:
         repaired, inner, outer = _repair_by(
-            repair, position, reference, reach, margin, least, chunk, first, second, start,
-            inner_end, outer_end,
-        )  # fmt: skip
+            repair,
+            position,
+            reference,
+            reach,
+            margin,
+            least,
+            chunk,
+            first,
+            second,
+            start,
+            inner_end,
+            outer_end,
+        )
         if repaired:
             return REPAIRED, (first, second, start, inner, outer)
     wide = widened(position, reference, reach, least, margin)
@@ -85,8 +95,16 @@ def kernel_calls(
     }
     if repair != 0:
         found["repair_at"] = (
-            repair, (True, *pairs[3:]), position, position, reach, reach, 0.0, chunk, *pairs
-        )  # fmt: skip
+            repair,
+            (True, *pairs[3:]),
+            position,
+            position,
+            reach,
+            reach,
+            0.0,
+            chunk,
+            *pairs,
+        )
     return found
 
 
@@ -130,9 +148,19 @@ def _repair_there(
         kernel, position, reference, reach, margin, least, chunk, first, second, start, inner, outer
     ):
         return _repair_at(
-            kernel, position, reference, reach, margin, least, chunk, first, second, start, inner,
+            kernel,
+            position,
+            reference,
+            reach,
+            margin,
+            least,
+            chunk,
+            first,
+            second,
+            start,
+            inner,
             outer,
-        )  # fmt: skip
+        )
 
     return run
 

@@ -277,10 +277,12 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         return np.asarray(np.maximum(found, _TRACE * found.max()))
 
     def place(
-        self, layout: Layout, position: FloatArray,
+        self,
+        layout: Layout,
+        position: FloatArray,
         demands: Mapping[str, tuple[FloatArray, FloatArray | None]],
         radius: FloatArray | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Take cells elsewhere, with largest uptake and secretion of each, (n,) amol/s, by name.
 
         ``layout`` may lie elsewhere too, and have other nodes of the same kind; nothing that

@@ -50,9 +50,13 @@ class PlacedSubstance:
         self.place(layout, position, radius, substance.capacity, substance.production)
 
     def place(
-        self, layout: Layout, position: FloatArray, radius: FloatArray | None,
-        capacity: FloatArray | None, production: FloatArray | None,
-    ) -> None:  # fmt: skip
+        self,
+        layout: Layout,
+        position: FloatArray,
+        radius: FloatArray | None,
+        capacity: FloatArray | None,
+        production: FloatArray | None,
+    ) -> None:
         """Take cells elsewhere, with other largest uptake and secretion (n,) in amol/s.
 
         ``layout`` may lie elsewhere too, and have other nodes of the same kind.
@@ -133,9 +137,13 @@ class PlacedSubstance:
         return source_imbalance(op, c, self.sink, self._gained[1], half, self.linear)
 
     def solve(
-        self, start: FloatArray, level: float, *, dt: float = np.inf,
+        self,
+        start: FloatArray,
+        level: float,
+        *,
+        dt: float = np.inf,
         before: FloatArray | None = None,
-    ) -> tuple[FloatArray, SolveReport]:  # fmt: skip
+    ) -> tuple[FloatArray, SolveReport]:
         """Solve for the state a step of backward Euler later, or at rest after an infinite one.
 
         - ``level``, float, mM: concentration of the medium at the end
@@ -172,10 +180,16 @@ class PlacedSubstance:
             decayed, washed = self.substance.decay * content, perfusion * content
             came = perfusion * (level * self.layout.whole - content)
         found = {
-            "inflow": flows.inflow + came, "outflow": flows.outflow, "uptake": flows.uptake,
-            "secreted": self._production, "made": flows.made, "used": flows.used, "level": level,
-            "decayed": decayed, "washed": washed,
-        }  # fmt: skip
+            "inflow": flows.inflow + came,
+            "outflow": flows.outflow,
+            "uptake": flows.uptake,
+            "secreted": self._production,
+            "made": flows.made,
+            "used": flows.used,
+            "level": level,
+            "decayed": decayed,
+            "washed": washed,
+        }
         return [found[name] for name in BALANCE_COLUMNS]
 
     def inverse(self, r: FloatArray, shift: FloatArray) -> FloatArray:

@@ -135,9 +135,12 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         """
         pde = suitable(self.pde, state, "implicit_step")
         self.info.update(
-            dt=dt, stochastic=False, steps=0, rejections=0,
+            dt=dt,
+            stochastic=False,
+            steps=0,
+            rejections=0,
             amounts=np.zeros((len(pde.names), len(BALANCE_COLUMNS))),
-        )  # fmt: skip
+        )
 
         def stepper(state: Any, t_start: float, t_end: float) -> float:
             c, ends = np.array(state.data, dtype=float), (float(t_start), float(t_end))
@@ -321,10 +324,15 @@ class _March:
             largest[largest == 0.0] = largest.max() or 1.0
             absolute = np.repeat(self.owner.rtol * _SMALL * largest, parts.shape[1])
         self.cvode = CVODE(
-            self.velocity, method="BDF", linsolver="gmres", rtol=self.owner.rtol, krylov_dim=10,
-            atol=absolute, first_step=self.first or 0.0,
+            self.velocity,
+            method="BDF",
+            linsolver="gmres",
+            rtol=self.owner.rtol,
+            krylov_dim=10,
+            atol=absolute,
+            first_step=self.first or 0.0,
             precond=CVODEPrecond(self.setup, self.precondition, side="right"),
-        )  # fmt: skip
+        )
         self.cvode.init_step(0.0, y)
 
     def _step(self, stop: float, limit: int) -> None:
@@ -367,8 +375,15 @@ class _March:
             self.near = self.equation.shifted_inverse(np.array(y).reshape(self.shape), now)
 
     def precondition(
-        self, t: float, y: FloatArray, yp: FloatArray, r: FloatArray, z: FloatArray,
-        gamma: float, delta: float, lr: int,
-    ) -> None:  # fmt: skip
+        self,
+        t: float,
+        y: FloatArray,
+        yp: FloatArray,
+        r: FloatArray,
+        z: FloatArray,
+        gamma: float,
+        delta: float,
+        lr: int,
+    ) -> None:
         """Solve about (I - γJ) z = r."""
         z[:] = self.near(np.array(r).reshape(self.shape) / gamma, 1.0 / gamma).ravel()

@@ -100,9 +100,17 @@ class Kinetics:
         filled = np.zeros(nodes) if tissue is None else np.ascontiguousarray(tissue).ravel()
         out, slope = np.empty((m, nodes)), np.empty((m, m, nodes))
         react(
-            c, filled, self._rate, self._place, self._first, self._field, self._power,
-            self._change, out, slope,
-        )  # fmt: skip
+            c,
+            filled,
+            self._rate,
+            self._place,
+            self._first,
+            self._field,
+            self._power,
+            self._change,
+            out,
+            slope,
+        )
         for each, rows in self._own:
             rates, derivative = each.evaluate(c[rows], tissue)
             out[rows] += rates

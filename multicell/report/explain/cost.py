@@ -177,13 +177,21 @@ def cost_numbers(scene: Scene, expected: Prediction) -> list[Number]:
     most = "" if cells[-1] >= cells.max() else f"; {cells.max():.3g} at most"
     return [
         Number("expected cells", float(cells[-1]), "", f"{ends}{most}, dead ones included"),
-        Number("expected time", expected.seconds, "s",
-               f"of the whole run on one core of 2.5 GHz, without compilation: "
-               f"{hours(expected.seconds)}"),
-        Number("expected memory", expected.memory / 1e6, "MB",
-               f"of the process at its largest; {_COMPILING / 1e6:.0f} MB more while it compiles"),
+        Number(
+            "expected time",
+            expected.seconds,
+            "s",
+            f"of the whole run on one core of 2.5 GHz, without compilation: "
+            f"{hours(expected.seconds)}",
+        ),
+        Number(
+            "expected memory",
+            expected.memory / 1e6,
+            "MB",
+            f"of the process at its largest; {_COMPILING / 1e6:.0f} MB more while it compiles",
+        ),
         Number("expected file", expected.file / 1e6, "MB", "all frames and the history"),
-    ]  # fmt: skip
+    ]
 
 
 def cost_notes(expected: Prediction) -> list[str]:

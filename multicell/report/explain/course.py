@@ -226,8 +226,13 @@ def _effective_fields(scene: Scene) -> set[str]:
 
     What a field depends on that takes part in reactions is left out, as reactions are.
     """
-    effects = ("growth_half_saturation", "growth_inhibition", "quiescence", "necrosis",
-               "necrosis_above")  # fmt: skip
+    effects = (
+        "growth_half_saturation",
+        "growth_inhibition",
+        "quiescence",
+        "necrosis",
+        "necrosis_above",
+    )
     fields = scene.nutrients.items()
     needed = {name for name, f in fields if any(getattr(f, x) is not None for x in effects)}
     if scene.energy is not None:
@@ -262,9 +267,13 @@ class Profile:
         self._active = np.where(resting, 0.0, self._active)
 
     def solve(
-        self, shells: FloatArray, begin: float, end: float, volume: float,
+        self,
+        shells: FloatArray,
+        begin: float,
+        end: float,
+        volume: float,
         others: Mapping[str, FloatArray] | None = None,
-    ) -> FloatArray:  # fmt: skip
+    ) -> FloatArray:
         """Return the concentration in each shell, (n,) mM, and note what a finite medium loses.
 
         - ``shells``, (n + 1,), µm: their boundaries; nothing flows through the innermost

@@ -20,8 +20,11 @@ def network_words(scene: Scene, name: str) -> str:
         what, rate = flux_of(part, field)
         words.append(f"{what} of {field} at the rate {rate}")
     signals = {y for response in scene.responses.values() for y in response.signals}
-    used = sorted(x for x in signals if x.removeprefix("sum of ").removeprefix("neighbours.")
-                  .startswith(f"{name}."))  # fmt: skip
+    used = sorted(
+        x
+        for x in signals
+        if x.removeprefix("sum of ").removeprefix("neighbours.").startswith(f"{name}.")
+    )
     words.append(f"read as {', '.join(used)}" if used else "no response reads it")
     if model.events:
         words.append(f"events {_listed([event.name for event in model.events])}")

@@ -35,8 +35,9 @@ def _energy_words(scene: Scene) -> str:
     words = f"ATP: {made} taken up"
     effects = {
         "growth at half its rate at": energy.growth_half_saturation,
-        "rest below": energy.quiescence, "death below": energy.necrosis,
-    }  # fmt: skip
+        "rest below": energy.quiescence,
+        "death below": energy.necrosis,
+    }
     told = [f"{what} {value:g} mM/s" for what, value in effects.items() if value is not None]
     return "; ".join([words, *told])
 
@@ -131,10 +132,12 @@ def _numbers(scene: Scene, name: str) -> list[Number]:
     nutrient, found = scene.nutrients[name], scales.scales(scene, name)
     numbers = [
         Number(
-            f"{name}: diffusion time", found.time, "s",
+            f"{name}: diffusion time",
+            found.time,
+            "s",
             f"to settle over {found.length:.3g} um; a coupling step is {scene.coupling_step:g} s",
         )
-    ]  # fmt: skip
+    ]
     if nutrient.finite_medium is not None and nutrient.takes_up:
         volume = SPHERE * typical_radius(scene) ** 3
         most = nutrient.largest_uptake(volume) * scene.initial.count
@@ -147,17 +150,22 @@ def _numbers(scene: Scene, name: str) -> list[Number]:
     return [
         *numbers,
         Number(
-            f"{name}: largest uptake", found.demand, "mM/s",
-            "of tissue without gaps" if scene.dimensions == 3 else
-            f"of a layer without gaps, {scales.layer_height(scene, name):g} um high",
+            f"{name}: largest uptake",
+            found.demand,
+            "mM/s",
+            "of tissue without gaps"
+            if scene.dimensions == 3
+            else f"of a layer without gaps, {scales.layer_height(scene, name):g} um high",
         ),
         Number(f"{name}: diffusion length", found.depth, "um", "the depth to which tissue is fed"),
         Number(f"{name}: starving radius", critical, "um", "of a ball starved at its centre"),
         Number(
-            f"{name}: Damköhler number", found.damkohler, "",
+            f"{name}: Damköhler number",
+            found.damkohler,
+            "",
             "uptake over diffusion at the largest size; above 6 a ball starves inside",
         ),
-    ]  # fmt: skip
+    ]
 
 
 def nutrient_notes(scene: Scene) -> list[str]:

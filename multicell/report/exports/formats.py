@@ -217,22 +217,31 @@ def _described(run: Result, files: Sequence[Path]) -> dict[str, Any]:
     title = run.scene.title or "Untitled run"
     parts = [{"@id": path.name} for path in files]
     described = {
-        "@id": _CRATE, "@type": "CreativeWork", "about": {"@id": "./"},
+        "@id": _CRATE,
+        "@type": "CreativeWork",
+        "about": {"@id": "./"},
         "conformsTo": {"@id": "https://w3id.org/ro/crate/1.1"},
-    }  # fmt: skip
+    }
     root = {
-        "@id": "./", "@type": "Dataset", "name": title, "datePublished": when,
+        "@id": "./",
+        "@type": "Dataset",
+        "name": title,
+        "datePublished": when,
         "description": f"Cell-based simulation of tissue with multicell: {title}",
         "license": "No licence is stated; ask the authors of the run.",
-        "hasPart": parts, "mentions": {"@id": "#run"},
+        "hasPart": parts,
+        "mentions": {"@id": "#run"},
         "variableMeasured": [{"@id": entry["@id"]} for entry in figures],
-    }  # fmt: skip
+    }
     action = {
-        "@id": "#run", "@type": "CreateAction", "endTime": when,
+        "@id": "#run",
+        "@type": "CreateAction",
+        "endTime": when,
         "name": f"Run of the scene with seed {run.scene.seed}",
         "instrument": [{"@id": entry["@id"]} for entry in software],
-        "object": {"@id": _SCENE}, "result": [part for part in parts if part["@id"] != _SCENE],
-    }  # fmt: skip
+        "object": {"@id": _SCENE},
+        "result": [part for part in parts if part["@id"] != _SCENE],
+    }
     graph = [described, root, action, *map(_file, files), *software, *figures]
     return {"@context": "https://w3id.org/ro/crate/1.1/context", "@graph": graph}
 
@@ -241,7 +250,11 @@ def _file(path: Path) -> dict[str, Any]:
     kind, words = _KINDS[path.suffix]
     content = path.read_bytes()
     return {
-        "@id": path.name, "@type": "File", "name": path.name, "description": words,
-        "encodingFormat": kind, "contentSize": str(len(content)),
+        "@id": path.name,
+        "@type": "File",
+        "name": path.name,
+        "description": words,
+        "encodingFormat": kind,
+        "contentSize": str(len(content)),
         "sha256": hashlib.sha256(content).hexdigest(),
-    }  # fmt: skip
+    }

@@ -16,8 +16,15 @@ APART: Final = 12.0
 """Least distance in CIELAB of two colours of one chart, as a deuteranope sees them."""
 
 SPARE: Final = (
-    "#ea76e4", "#117fff", "#ff9500", "#adb196", "#0000ff", "#004a34", "#223979", "#9d3204",
-)  # fmt: skip
+    "#ea76e4",
+    "#117fff",
+    "#ff9500",
+    "#adb196",
+    "#0000ff",
+    "#004a34",
+    "#223979",
+    "#9d3204",
+)
 """Colours for series without one of their own, more than twice `APART` from each other: each
 series that is there rules out one of them at most, so that the eighth still finds one."""
 

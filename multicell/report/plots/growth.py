@@ -86,9 +86,14 @@ def overlay(runs: Mapping[str, style.History], quantity: str) -> Figure:
     for k, (label, history) in enumerate(runs.items()):
         time = history["time"] / unit.seconds
         axes.plot(
-            time, history[quantity], color=colours[label], lw=2, label=style.type_label(label),
-            ls=("-", "--", "-.", ":")[k % 4], marker="" if len(time) > 1 else "o",
-        )  # fmt: skip
+            time,
+            history[quantity],
+            color=colours[label],
+            lw=2,
+            label=style.type_label(label),
+            ls=("-", "--", "-.", ":")[k % 4],
+            marker="" if len(time) > 1 else "o",
+        )
     dimension = known_unit(quantity)
     axes.set_xlabel(f"time ({unit.name})")
     axes.set_ylabel(f"{title.lower()} ({written(dimension)})" if dimension else title.lower())
@@ -183,6 +188,13 @@ def _mark_media(
         axes.axvline(time / unit.seconds, color=style.INK, lw=1.0, ls=":", zorder=1)
         text = f" {style.type_label(name)} {nutrients[name].medium(time):.3g} mM"
         axes.text(
-            time / unit.seconds, 0.03, text, rotation=90, ha="right", va="bottom",
-            fontsize=9, color=style.INK, transform=axes.get_xaxis_transform(),
-        )  # fmt: skip
+            time / unit.seconds,
+            0.03,
+            text,
+            rotation=90,
+            ha="right",
+            va="bottom",
+            fontsize=9,
+            color=style.INK,
+            transform=axes.get_xaxis_transform(),
+        )

@@ -39,9 +39,15 @@ def profiles(frame: Frame, scene: Scene) -> Figure:
     columns = 2 if len(names) > 1 else 1
     panels = max(len(names), 1) + 1
     grid = figure.add_gridspec(
-        -(-panels // columns), columns,
-        left=0.1, right=0.97, top=0.79, bottom=0.1, wspace=0.24, hspace=0.5,
-    )  # fmt: skip
+        -(-panels // columns),
+        columns,
+        left=0.1,
+        right=0.97,
+        top=0.79,
+        bottom=0.1,
+        wspace=0.24,
+        hspace=0.5,
+    )
     *upper, last = (figure.add_subplot(grid[k]) for k in range(panels))
     for axes, name in zip(upper, names, strict=False):
         _draw_field(axes, frame, profile, name, scene)

@@ -170,9 +170,15 @@ def field_maps(frame: Frame, scene: Scene) -> Figure:
     )
     columns = max((len(shown) + 1) // 2, min(len(shown), 2))
     grid = figure.add_gridspec(
-        -(-len(shown) // columns), columns,
-        left=0.04, right=0.93, top=0.81, bottom=0.06, wspace=0.34, hspace=0.26,
-    )  # fmt: skip
+        -(-len(shown) // columns),
+        columns,
+        left=0.04,
+        right=0.93,
+        top=0.81,
+        bottom=0.06,
+        wspace=0.34,
+        hspace=0.26,
+    )
     words = [style.type_label(name.replace("_", " "), 15).capitalize() for name in shown]
     for k, name in enumerate(shown):
         axes = figure.add_subplot(grid[k])
@@ -234,10 +240,17 @@ def draw_discs(
     if edge is None:
         edge = 0.5 if len(size) > 200 else 1.2
     discs = EllipseCollection(
-        size, size, np.zeros(len(size)), units="xy", offsets=position,
-        offset_transform=axes.transData, facecolors=rgb, edgecolors="white", linewidths=edge,
+        size,
+        size,
+        np.zeros(len(size)),
+        units="xy",
+        offsets=position,
+        offset_transform=axes.transData,
+        facecolors=rgb,
+        edgecolors="white",
+        linewidths=edge,
         zorder=2,
-    )  # fmt: skip
+    )
     axes.add_collection(discs)
 
 
@@ -270,9 +283,14 @@ def refine(field: Field, z: float) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def draw_field(
-    axes: Axes, field: Field, z: float, nutrient: Nutrient, medium: float, low: float | None,
+    axes: Axes,
+    field: Field,
+    z: float,
+    nutrient: Nutrient,
+    medium: float,
+    low: float | None,
     colours: Colormap,
-) -> tuple[AxesImage, float | None]:  # fmt: skip
+) -> tuple[AxesImage, float | None]:
     """Draw a field on the plane at z as shades, and where cells rest as a line over all else.
 
     There is no line at the threshold of necrosis: see :func:`necrotic_share`.
@@ -292,9 +310,15 @@ def draw_field(
     half = 0.5 * (x[1] - x[0])
     extent = (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half)
     shades = axes.imshow(
-        plane, extent=extent, origin="lower", cmap=colours, vmin=low, vmax=top, zorder=0,
+        plane,
+        extent=extent,
+        origin="lower",
+        cmap=colours,
+        vmin=low,
+        vmax=top,
+        zorder=0,
         interpolation="bilinear",
-    )  # fmt: skip
+    )
     axes.axis(window)
     resting = nutrient.quiescence
     if resting is None or not plane.min() < resting < plane.max():

@@ -76,9 +76,13 @@ class View:
 
 
 def spheres(
-    place: FloatArray, radius: FloatArray, rgb: FloatArray, view: View,
-    half: tuple[float, float], pixels: tuple[int, int],
-) -> NDArray[np.uint8]:  # fmt: skip
+    place: FloatArray,
+    radius: FloatArray,
+    rgb: FloatArray,
+    view: View,
+    half: tuple[float, float],
+    pixels: tuple[int, int],
+) -> NDArray[np.uint8]:
     """Return a picture of spheres, seen without perspective.
 
     - ``place``, (n, 3) µm: centres, from the centre of the picture
@@ -99,9 +103,18 @@ def spheres(
     front, back = float(seen[:, 2].max()), float(seen[:, 2].min())
     colours = np.ascontiguousarray(255.0 * rgb)
     _draw(
-        seen, radius, colours, planes, _LIGHT, 0.5 * (front + back), front,
-        float(half[0]), float(half[1]), picture, depth,
-    )  # fmt: skip
+        seen,
+        radius,
+        colours,
+        planes,
+        _LIGHT,
+        0.5 * (front + back),
+        front,
+        float(half[0]),
+        float(half[1]),
+        picture,
+        depth,
+    )
     # means of squares of points; colours count as much as they are opaque
     blocks = picture.reshape(pixels[1], _LEVELS, pixels[0], _LEVELS, 4)
     opaque = blocks[..., 3] > 0
@@ -115,9 +128,18 @@ def spheres(
 
 @njit(**KERNEL)  # type: ignore[untyped-decorator]
 def _draw(
-    seen: Any, radius: Any, rgb: Any, planes: Any, light: Any, middle: float, front: float,
-    half_wide: float, half_high: float, picture: Any, depth: Any,
-) -> None:  # fmt: skip
+    seen: Any,
+    radius: Any,
+    rgb: Any,
+    planes: Any,
+    light: Any,
+    middle: float,
+    front: float,
+    half_wide: float,
+    half_high: float,
+    picture: Any,
+    depth: Any,
+) -> None:
     """Draw all spheres into a picture and its depths.
 
     ``seen`` (n, 3) are centres in the eye's axes, µm, the third towards the eye; ``rgb`` (n, 3)

@@ -357,9 +357,11 @@ def _curves(result: Result, frames: Sequence[Frame]) -> tuple[dict[str, Any], li
             curves.append({"name": name, "label": label, "unit": unit, "values": shown})
     end = float(time[-1])
     about = {
-        "times": time[rows].tolist(), "curves": curves, "end": end,
+        "times": time[rows].tolist(),
+        "curves": curves,
+        "end": end,
         "end_label": time_unit(end).text(end),
-    }  # fmt: skip
+    }
     return about, points
 
 
