@@ -168,6 +168,15 @@ class Cells:
                 raise ValueError(f"cells.{name} has shape {array.shape}, expected {shape}")
             setattr(self, name, array)
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name not in _layout() and not hasattr(type(self), name):
+            from difflib import get_close_matches
+
+            near = get_close_matches(name, _layout(), n=1, cutoff=0.5)
+            hint = f"; did you mean {near[0]!r}?" if near else f": {', '.join(_layout())}"
+            raise AttributeError(f"cells have no column {name!r}{hint}", name=name, obj=self)
+        super().__setattr__(name, value)
+
     def __len__(self) -> int:
         return len(self.id)
 

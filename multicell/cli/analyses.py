@@ -119,7 +119,7 @@ def dose_response_command(
     observables: Sequence[str],
     seeds: int,
     changes: Sequence[str],
-    law: str | None,
+    laws: tuple[str, ...],
     **how: Any,
 ) -> None:
     """Find the dose at which half of the cells of a SCENE are left, and what two drugs do together.
@@ -133,11 +133,11 @@ def dose_response_command(
     pairs = studies.key_values(drugs, "--dose")
     if data is None and (columns or where):
         raise click.UsageError("--columns and --where belong to --data.")
-    if data is not None and (pairs or changes or law or observables):
+    if data is not None and (pairs or changes or laws or observables):
         raise click.UsageError("--dose, --set, --law and --observable belong to a SCENE.")
     if scene is not None and len(pairs) not in (1, 2):
         raise click.UsageError(f"--dose is given {len(pairs)} times, must be once or twice.")
-    described = None if scene is None else shared.scene_of(scene, changes, law)
+    described = None if scene is None else shared.scene_of(scene, changes, laws)
     from multicell.calibration.dose_response import (
         LIVING,
         of_table,

@@ -122,13 +122,13 @@ def run_command(
     seed: int | None,
     cells: str | None,
     columns: str | None,
-    law: str | None,
+    laws: tuple[str, ...],
     changes: Sequence[str],
     integrator: str | None,
     **options: Any,
 ) -> None:
     """Run a SCENE and write frames, summary, pictures and a report to a folder."""
-    described = shared.scene_of(scene, shared.cells_change(cells, columns, changes), law)
+    described = shared.scene_of(scene, shared.cells_change(cells, columns, changes), laws)
     table = described.initial.cells
     if table is not None and table.said and not options["quiet"]:
         complain(table.said)

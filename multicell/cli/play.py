@@ -45,9 +45,9 @@ def play(scene: Scene, keys: Sequence[str], port: int, no_browser: bool) -> None
     ranges = parse_ranges(texts, scene)
     check_ranges(scene, ranges)
     factor, note = _factor(scene)
-    law = click.get_current_context().params["law"]
+    laws = click.get_current_context().params["laws"]
     with Playground(
-        scene, ranges, factor, note, law, units=asked_units(texts, ranges)
+        scene, ranges, factor, note, laws, units=asked_units(texts, ranges)
     ) as playground:
         playground.begin()
 

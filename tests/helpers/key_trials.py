@@ -166,6 +166,9 @@ def tissue(dimensions, cycle, regime):
                 "behaviour": "speed", "signal": "waste", "law": "monod",
                 "half": "0.01 mM", "falls": True, "combine": "minimum",
             },
+            # cells that wait in G2 grow beyond the volume of division, where hypertrophy lets them
+            **({"wait": {"behaviour": "entry into M", "law": "constant", "largest": 0.2}}
+               if cycle == "with phases" else {}),
         },
         "radiation": {
             "beam": {
@@ -343,10 +346,14 @@ TEXTS = {
 }
 """Other values of keys that name something."""
 
+FAR = {"radiation.*.phase_factor": [{"S": 20.0}]}
+"""Values far from those of the scenes, for keys by which chances of few cells change."""
+
 
 def others(pattern, value, spec):
     """Yield values within the range of a key that are not its own."""
     yield from (text for text in TEXTS.get(pattern, ()) if text != value)
+    yield from FAR.get(pattern, ())
     yield from _others(value, spec)
 
 

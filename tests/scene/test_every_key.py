@@ -18,6 +18,9 @@ EXPLAINED = {
 ALONE = {"dimensions": "plane"}
 """Keys that other parts tie to their values, and the scene in which they are free."""
 
+TOGETHER = {"growth.law": {"growth.parameters": None}}
+"""Keys that can change only with others, and how these change: parameters are those of one law."""
+
 OWN = ("initial.cells.", "networks.", "output.observables.", "responses.*.parameters")
 """Keys for files and code of users: test_start_table, test_inside, test_own_observable,
 test_responses."""
@@ -37,7 +40,8 @@ def changes(base, pattern, path, value, spec):
     scene = Scene.from_dict(BASES[base])
     for other in others(pattern, value, spec):
         try:
-            if digest(scene.with_changes({path: other})) != own(base):
+            further = TOGETHER.get(pattern, {})
+            if digest(scene.with_changes({path: other, **further})) != own(base):
                 return True
         except (SceneError, StepFailed):
             continue  # the scene cannot be with this value
