@@ -309,3 +309,13 @@ def rows_by_id(known: IntArray, ids: IntArray) -> IntArray:
     order = np.argsort(known)
     place = np.minimum(np.searchsorted(known, ids, sorter=order), len(known) - 1)
     return np.where(known[order[place]] == ids, order[place], -1)
+
+
+def contact_rows(cells: Cells, contacts: IntArray) -> IntArray:
+    """Return the rows of the cells of each pair, given by identities: (m, 2), absent ones left out.
+
+    - ``cells``: all cells
+    - ``contacts``, (m, 2): identities
+    """
+    rows = cells.rows_of(contacts).reshape(-1, 2)
+    return rows[(rows >= 0).all(axis=1)]

@@ -20,7 +20,7 @@ from multicell.cells import Cells, FloatArray, State, rows_before
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.balance import FieldExchange, Ledger
 from multicell.nutrient.tissue import Tissue
-from multicell.results.observables import viable_volume
+from multicell.population.extents import viable_volume
 from multicell.scene.dependences import circles, followed, solving_order
 
 if TYPE_CHECKING:

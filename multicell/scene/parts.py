@@ -354,19 +354,6 @@ class OwnObservable:
     unit: str = text(default="", doc="base unit of its numbers; absent: they are counts or ratios")
 
 
-_OWN_UNITS: dict[str, set[str]] = {}
-
-
-def own_units(name: str) -> set[str]:
-    """Return the units that scenes of this process state for an observable of the user's own."""
-    return set(_OWN_UNITS.get(name, ()))
-
-
-def own_names() -> list[str]:
-    """Return the observables of the user's own that scenes have named in this process."""
-    return list(_OWN_UNITS)
-
-
 @final
 @parameters
 class OutputOptions:
@@ -376,11 +363,6 @@ class OutputOptions:
     observables: Mapping[str, OwnObservable] = tables(
         OwnObservable, doc="of the user's own, by name; absent: none"
     )
-
-    def check(self) -> None:
-        """Note the units of observables, for those who read the results of a scene."""
-        for name, own in self.observables.items():
-            _OWN_UNITS.setdefault(name, set()).add(own.unit)
 
 
 @final

@@ -37,6 +37,7 @@ from multicell.scene.driven import PrescribedMotion, check_driven
 from multicell.scene.energy import Energy, check_energy
 from multicell.scene.networks import CellNetwork, check_networks, place_networks
 from multicell.scene.nutrient import Nutrient
+from multicell.scene.own_units import enter_units
 from multicell.scene.oxygen import in_concentrations
 from multicell.scene.parts import (
     Adhesion,
@@ -205,6 +206,7 @@ class Scene:
         check_reactions(self)
         check_radiation(self)
         note_written(self, self.__dict__.pop("_written"))
+        enter_units(self.output.observables)
 
     @property
     def box(self) -> Domain | None:

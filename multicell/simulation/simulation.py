@@ -16,8 +16,8 @@ from multicell.errors import NutrientFailed, StepFailed
 from multicell.host.interrupts import UNCUT, WHOLE_STEP
 from multicell.results import summary
 from multicell.results.lineage import Lineage
-from multicell.scene import start
 from multicell.scene.ranges import check_memory
+from multicell.simulation.assembly import apart_at_start
 from multicell.simulation.coupling_step import next_state
 from multicell.simulation.first_state import begun, resumed
 from multicell.simulation.machinery import Machinery
@@ -99,7 +99,7 @@ class Simulation:
             return
         table = scene.initial.cells
         given = cells is not None or (table is not None and "state" in table.given.columns)
-        first = start.separate(scene, initial_cells(scene) if cells is None else cells)
+        first = apart_at_start(scene, initial_cells(scene) if cells is None else cells)
         with self._compiling:
             self._state = begun(run, first, lineage, given_states=given)
 

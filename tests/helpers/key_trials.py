@@ -175,7 +175,7 @@ def tissue(dimensions, cycle, regime):
                 "dose": "3 Gy", "start": "5 min", "every": "10 min", "fractions": 2,
                 "alpha": "0.2 1/Gy", "beta": "0.03 1/Gy^2", "oxygen": "oxygen", "oer": 2.5,
                 "half_oxygen": "2 kPa", "cells": "a",
-                **({"phase_factor": {"S": 0.7}} if cycle == "with phases" else {}),
+                **({"phase_factor": {"G1": 0.7}} if cycle == "with phases" else {}),
             },
             "boost": {
                 "dose": "2 Gy", "times": ["12 min"], "alpha": "0.2 1/Gy", "beta": "0.02 1/Gy^2",
@@ -346,7 +346,7 @@ TEXTS = {
 }
 """Other values of keys that name something."""
 
-FAR = {"radiation.*.phase_factor": [{"S": 20.0}]}
+FAR = {"radiation.*.phase_factor": [{"G1": 9.0}]}
 """Values far from those of the scenes, for keys by which chances of few cells change."""
 
 

@@ -22,6 +22,7 @@ from multicell.measured.observables import in_history
 from multicell.results.measures import scene_observables
 from multicell.results.observable import OWN_OBSERVABLES
 from multicell.results.quantities import known_unit
+from multicell.scene.own_units import own_units
 from multicell.studies.axes import parse_range
 
 TEXT = """
@@ -235,3 +236,15 @@ def test_a_fault_in_a_run_has_file_and_line_and_the_run_can_be_resumed(tmp_path)
         tmp_path, changes={"output.observables.of_a_test": mended.stated()}, report=False
     )
     assert result.history["of_a_test"].tolist() == [1.0, 1.0, 1.0, 2.0]
+
+
+def test_a_scene_that_is_refused_leaves_no_name_of_an_observable():
+    own = {"function": "mine.py:late@0123456789ab", "unit": "um"}
+    entries = {"duration": "1 h", "output": {"observables": {"of_a_refused_scene": own}}}
+    with pytest.raises(SceneError):
+        mc.Scene.from_dict({**entries, "friction": {"normal": -1.0}})
+    with pytest.raises(SceneError):
+        mc.Scene.from_dict({**entries, "motions": {"m": {"type": "none", "velocity": [0, 0, 0]}}})
+    assert own_units("of_a_refused_scene") == set()
+    mc.Scene.from_dict(entries)
+    assert own_units("of_a_refused_scene") == {"um"}

@@ -11,10 +11,10 @@ from matplotlib.ticker import MaxNLocator
 
 from multicell.cells import Cells, FloatArray
 from multicell.contact.pair import Pair
+from multicell.population.extents import sizes
 from multicell.report.plots import style
 from multicell.report.wording import TimeUnit, percent, time_unit
 from multicell.results.frame import Frame
-from multicell.results.observables import sizes
 from multicell.scene.pairs import pair_of
 from multicell.scene.scene import Scene
 
@@ -74,7 +74,7 @@ def _draw_fraction(
 def distance_of_two(diameter: FloatArray, cells: Cells, dimensions: int) -> FloatArray:
     """Return the distance of two cells of constant radii from their common diameter, µm.
 
-    It inverts :func:`multicell.results.observables.uniform_radius`: with the parts p of the volume
+    It inverts :func:`multicell.population.extents.uniform_radius`: with the parts p of the volume
     (in a plane of the area) and q = d / (d + 2), q R² = p₁ p₂ x² + q (p₁ r₁² + p₂ r₂²).
     """
     size = sizes(cells, dimensions)

@@ -22,11 +22,11 @@ from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from multicell.cells import Cells, FloatArray, State
 from multicell.errors import OutputError, SceneError
+from multicell.population.extents import centre, uniform_radius
 from multicell.report.plots import style
 from multicell.report.plots.colouring import SCALE, Colouring
 from multicell.report.wording import cell_count
 from multicell.results.frame import Field, Frame
-from multicell.results.observables import centre, uniform_radius
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.scene import Scene
 from multicell.units import to_base

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from multicell.cells import FloatArray
 from multicell.compiling import KERNEL
 from multicell.errors import OutputError
+from multicell.population.extents import centre
 from multicell.report.plots.colouring import Colouring
 from multicell.report.plots.section import explain_colours, frame_window, scale_bar
 from multicell.report.plots.style import DPI, SIZE, headed, moment, styled
 from multicell.report.wording import cell_count, time_unit
 from multicell.results.frame import Frame
-from multicell.results.observables import centre
 from multicell.scene.scene import Scene
 
 FILM: Final = (8.0, 6.0)  # inches
