@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from multicell.calibration.emulator import draws as draws_of
-from multicell.calibration.likelihood import Fresh
-from multicell.calibration.problem import ABSENT_DEVIATIONS, FitProblem, misfit
-from multicell.calibration.search import Evaluation, Run
-from multicell.calibration.simulator import Reading
-from multicell.calibration.verdict import (
+from multicell.calibration.fitting.emulator import draws as draws_of
+from multicell.calibration.fitting.likelihood import Fresh
+from multicell.calibration.fitting.problem import ABSENT_DEVIATIONS, FitProblem, misfit
+from multicell.calibration.fitting.search import Evaluation, Run
+from multicell.calibration.fitting.simulator import Reading
+from multicell.calibration.fitting.verdict import (
     EDGE,
     Interval,
     Undetermined,
     intervals,
     quantiles,
     undetermined,
-    value_in_words,
 )
+from multicell.calibration.shared.wording import value_in_words
 from multicell.errors import FitFailed
 from multicell.host.extras import needs
 from multicell.measured.noise import Array
@@ -33,10 +33,10 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-    from multicell.calibration.fit_plots import FitPlots
-    from multicell.calibration.likelihood import Checks
-    from multicell.calibration.predictive import PredictiveCheck
-    from multicell.calibration.profile import LikelihoodProfile
+    from multicell.calibration.fitting.likelihood import Checks
+    from multicell.calibration.fitting.plots import FitPlots
+    from multicell.calibration.fitting.predictive import PredictiveCheck
+    from multicell.calibration.fitting.profile import LikelihoodProfile
     from multicell.measured.data import Datum
     from multicell.scene.scene import Scene
 
@@ -170,7 +170,7 @@ class Fit:
         FitFailed
             If there is no likelihood.
         """
-        from multicell.calibration.profile import profile_of
+        from multicell.calibration.fitting.profile import profile_of
 
         return profile_of(self, name, points)
 
@@ -213,7 +213,7 @@ class Fit:
         FitFailed
             If there is no posterior.
         """
-        from multicell.calibration.to_arviz import to_arviz
+        from multicell.calibration.fitting.to_arviz import to_arviz
 
         return to_arviz(self)
 
@@ -305,7 +305,7 @@ class Fit:
         FitFailed
             If there is no posterior.
         """
-        from multicell.calibration.predictive import predictive_check
+        from multicell.calibration.fitting.predictive import predictive_check
 
         needs("pandas")
         return predictive_check(self)
@@ -419,7 +419,7 @@ class Fit:
     @property
     def plot(self) -> FitPlots:
         """Pictures: ``plot()`` shows data and runs, ``plot.parameters()`` the posterior."""
-        from multicell.calibration.fit_plots import FitPlots
+        from multicell.calibration.fitting.plots import FitPlots
 
         return FitPlots(self)
 
@@ -431,7 +431,7 @@ class Fit:
         OutputError
             If there is no folder, or it cannot be written to.
         """
-        from multicell.calibration.fit_page import write_fit_report
+        from multicell.calibration.fitting.page import write_fit_report
 
         return write_fit_report(self, folder)
 

@@ -6,13 +6,13 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from multicell.calibration.verdict import value_in_words
+from multicell.calibration.shared.wording import value_in_words
 from multicell.errors import OutputError
 from multicell.report.html import write_page
 from multicell.report.wording import clock, time_unit, written
 
 if TYPE_CHECKING:
-    from multicell.calibration.fitted import Fit
+    from multicell.calibration.fitting.fitted import Fit
 
 
 _DATA: Final = (

@@ -31,8 +31,8 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.calibration.priors import Prior, prior_of, split_free
-from multicell.calibration.simulator import Reading, Simulator
+from multicell.calibration.fitting.priors import Prior, prior_of, split_free
+from multicell.calibration.fitting.simulator import Reading, Simulator
 from multicell.errors import SceneError
 from multicell.measured.data import Measured
 from multicell.measured.noise import Array as Array

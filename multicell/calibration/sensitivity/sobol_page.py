@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multicell.calibration.verdict import value_in_words
+from multicell.calibration.shared.wording import value_in_words
 from multicell.report.html import Drawing, write_page
 from multicell.report.plots.colour_vision import PALE
 from multicell.report.plots.style import BLUE, QUIET, SIZE, styled
@@ -18,7 +18,7 @@ from multicell.studies.pictures import with_heading
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from multicell.calibration.sobol import SobolIndices
+    from multicell.calibration.sensitivity.sobol import SobolIndices
 
 
 def write_sobol_report(result: SobolIndices, folder: Path) -> Path:

@@ -30,7 +30,7 @@ from multicell.units import shown
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from multicell.calibration.sensitivity import SensitivityPlan
+    from multicell.calibration.sensitivity.analysis import SensitivityPlan
     from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
     from multicell.studies.axes import Range
@@ -127,7 +127,7 @@ class SobolIndices:
 
     def plot(self, observable: str | None = None) -> Figure:
         """Draw first and total indices of an observable with their intervals."""
-        from multicell.calibration.sobol_page import sobol_bars
+        from multicell.calibration.sensitivity.sobol_page import sobol_bars
 
         return sobol_bars(self, observable or self.observables[0])
 
@@ -163,7 +163,7 @@ class SobolIndices:
 
     def report(self, folder: str | Path | None = None) -> Path:
         """Write tables, pictures and the page ``report.html``; return the page."""
-        from multicell.calibration.sobol_page import write_sobol_report
+        from multicell.calibration.sensitivity.sobol_page import write_sobol_report
 
         return write_sobol_report(self, self.write_tables(folder))
 

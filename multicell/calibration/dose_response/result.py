@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
-from multicell.calibration.dose_curve import DOSES, TOTALS, DoseCurve, Estimate
+from multicell.calibration.dose_response.curve import DOSES, TOTALS, DoseCurve, Estimate
 from multicell.errors import OutputError
 from multicell.results.folder import file_errors, to_json, versions, write_text
 from multicell.tables.text import csv_text
@@ -37,7 +37,7 @@ class DoseResponse:
       failure
     - ``combination``: a row for each pair of doses: ``viability``, ``bliss_excess`` and
       ``loewe_index``, each with ``..._low`` and ``..._high``, and ``extrapolated``; see
-      :func:`multicell.calibration.dose_curve.combine_drugs`
+      :func:`multicell.calibration.dose_response.curve.combine_drugs`
     - ``totals``: mean ``bliss_excess`` and geometric mean ``loewe_index``
     - ``notes``: what the reader must know
     """
@@ -65,7 +65,7 @@ class DoseResponse:
 
     def plot(self) -> Figure:
         """Draw responses, curves with bands and IC50; of combinations also both references."""
-        from multicell.calibration.dose_response_page import draw
+        from multicell.calibration.dose_response.page import draw
 
         return draw(self)
 
@@ -120,7 +120,7 @@ class DoseResponse:
 
         Raises ``OutputError`` if there is no folder, or it cannot be written to.
         """
-        from multicell.calibration.dose_response_page import write_dose_report
+        from multicell.calibration.dose_response.page import write_dose_report
 
         return write_dose_report(self, self.write_tables(folder))
 

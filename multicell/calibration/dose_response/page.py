@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
 
-from multicell.calibration.dose_curve import DOSES, TOTALS
+from multicell.calibration.dose_response.curve import DOSES, TOTALS
 from multicell.report.html import write_page
 from multicell.report.plots.style import BLUE, INK, QUIET, RED, SIZE, save_figure, styled
 from multicell.report.wording import written
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from multicell.calibration.dose_curve import DoseCurve
-    from multicell.calibration.dose_response_result import DoseResponse
+    from multicell.calibration.dose_response.curve import DoseCurve
+    from multicell.calibration.dose_response.result import DoseResponse
 
 
 def write_dose_report(result: DoseResponse, folder: Path) -> Path:

@@ -12,9 +12,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
-from multicell.calibration.likelihood import CHECKS, Fresh, fresh, most_fresh
-from multicell.calibration.pool import Pool
-from multicell.calibration.problem import FitProblem
+from multicell.calibration.fitting.likelihood import CHECKS, Fresh, fresh, most_fresh
+from multicell.calibration.fitting.pool import Pool
+from multicell.calibration.fitting.problem import FitProblem
 from multicell.errors import OutputError
 from multicell.results.documents import Lines, read_document, write_table
 from multicell.results.folder import (
@@ -38,8 +38,8 @@ from multicell.tables.columns import Table
 from multicell.tables.text import csv_text, table_text
 
 if TYPE_CHECKING:
-    from multicell.calibration.fitted import Fit
-    from multicell.calibration.search import Evaluation, Search
+    from multicell.calibration.fitting.fitted import Fit
+    from multicell.calibration.fitting.search import Evaluation, Search
     from multicell.scene.scene import Scene
 
 FIT: Final = "fit.json"  # what the folder is a fit of
@@ -187,7 +187,7 @@ def make_runs(
 
     Where the result contradicts itself, and the plan allows more runs, the search continues.
     """
-    from multicell.calibration.search import Search
+    from multicell.calibration.fitting.search import Search
 
     begin = clock.monotonic()
     search = Search(plan.problem, None if folder is None else folder / SEARCH)
@@ -211,7 +211,7 @@ def _found(
     again: Fresh,
     seconds: float,
 ) -> Fit:
-    from multicell.calibration.fitted import Fit
+    from multicell.calibration.fitting.fitted import Fit
 
     own = {
         "sd": plan.sd,

@@ -1,8 +1,8 @@
 """The best parameters in few runs: proposed by an emulator and by Optuna.
 
 Points are tried in batches. The first ones are a Sobol' sequence; of each later batch most come
-from an emulator (:mod:`multicell.calibration.emulator`): its minimum, and draws from its posterior,
-which are where another run tells most. The rest are Optuna's (TPE), which needs no smooth
+from an emulator (:mod:`~multicell.calibration.fitting.emulator`): its minimum, and draws from its
+posterior, where another run is most informative. The rest are Optuna's (TPE), which needs no smooth
 dependence and looks elsewhere too. All points have the same random numbers, so that differences
 between them are differences of parameters.
 
@@ -22,10 +22,10 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from multicell.calibration.emulator import ENOUGH_DRAWS, Emulator, best_of, draws, emulator
-from multicell.calibration.pool import Call, Pool
-from multicell.calibration.problem import FitProblem, Misfit
-from multicell.calibration.simulator import Reading
+from multicell.calibration.fitting.emulator import ENOUGH_DRAWS, Emulator, best_of, draws, emulator
+from multicell.calibration.fitting.pool import Call, Pool
+from multicell.calibration.fitting.problem import FitProblem, Misfit
+from multicell.calibration.fitting.simulator import Reading
 from multicell.errors import FitFailed, OutputError
 from multicell.host.extras import needs, quiet
 from multicell.measured.noise import Array

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from multicell.calibration.indices import CLEAR, CLEAR_SINGLE
-from multicell.calibration.verdict import value_in_words
+from multicell.calibration.sensitivity.indices import CLEAR, CLEAR_SINGLE
+from multicell.calibration.shared.wording import value_in_words
 from multicell.report.html import Drawing, write_page
 from multicell.report.plots.colour_vision import PALE
 from multicell.report.plots.style import BLUE, QUIET, RED, SIZE, styled
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from multicell.calibration.sensitivity_result import Row, Sensitivity
+    from multicell.calibration.sensitivity.result import Row, Sensitivity
     from multicell.studies.axes import Range
 
 

@@ -36,7 +36,7 @@ class Sensitivity:
       ``key``, ``low``, ``high``, ``parameter_unit``, ``mu``, ``mu_star``, ``mu_star_conf`` (the
       half width of its 95 % interval) and ``sigma`` (in ``unit``, for the whole range). ``noise``
       is what scatter over the seeds alone gives (NaN for one seed) and ``verdict`` what can be
-      said: see :class:`multicell.calibration.indices.Analysis`.
+      said: see :class:`multicell.calibration.sensitivity.indices.Analysis`.
     - ``notes``: what the reader must know: failed runs, an observable that does not vary
     - ``failures``: name of a run that failed -> reason; the study in the folder has the others
     """
@@ -74,7 +74,7 @@ class Sensitivity:
 
     def plot(self, observable: str | None = None) -> Figure:
         """Draw the indices of an observable (by default the first) with their intervals."""
-        from multicell.calibration.sensitivity_page import indices
+        from multicell.calibration.sensitivity.page import indices
 
         return indices(self, observable or self.observables[0])
 
@@ -120,7 +120,7 @@ class Sensitivity:
         OutputError
             If there is no folder, or it cannot be written to.
         """
-        from multicell.calibration.sensitivity_page import write_sensitivity_report
+        from multicell.calibration.sensitivity.page import write_sensitivity_report
 
         return write_sensitivity_report(self, self.write_tables(folder))
 

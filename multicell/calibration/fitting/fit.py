@@ -7,18 +7,18 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from multicell.calibration.fit_plan import FitPlan, Progress, make_runs, write_result
-from multicell.calibration.fitted import Fit
-from multicell.calibration.likelihood import (
+from multicell.calibration.fitting.fitted import Fit
+from multicell.calibration.fitting.likelihood import (
     CHECKS,
     DEFAULT_REPEATS,
     MAX_REPEATS,
     MIN_REPEATS,
     most_fresh,
 )
-from multicell.calibration.pool import open_pool
-from multicell.calibration.problem import FitProblem, free_of
-from multicell.calibration.simulator import SceneSimulator
+from multicell.calibration.fitting.plan import FitPlan, Progress, make_runs, write_result
+from multicell.calibration.fitting.pool import open_pool
+from multicell.calibration.fitting.problem import FitProblem, free_of
+from multicell.calibration.fitting.simulator import SceneSimulator
 from multicell.errors import SceneError
 from multicell.host.extras import needs
 from multicell.measured.data import ASSUMED, read_data
@@ -26,7 +26,7 @@ from multicell.measured.table import read_measurements
 from multicell.studies.limits import MAX_RUNS, check_cores, check_runs, check_seeds, whole_between
 
 if TYPE_CHECKING:
-    from multicell.calibration.simulator import Simulator
+    from multicell.calibration.fitting.simulator import Simulator
     from multicell.scene.scene import Scene
 
 _LEAST: Final = 10  # sets of parameters that a search must be able to try
@@ -64,7 +64,7 @@ def fit(
         Key of the scene -> its range, ``"8:25 h"``, ``"log 1e-3:1 1/s"`` or two values, in which
         all values are equally likely beforehand (on a logarithmic range: all ratios); or its
         distribution, as ``"norm(18 h, 2 h)"``, ``"lognorm(median=0.02 mM/s, sigma=0.3)"``,
-        ``"norm(18 h, 2 h) in 10:30 h"``: see :mod:`multicell.calibration.priors`.
+        ``"norm(18 h, 2 h) in 10:30 h"``: see :mod:`multicell.calibration.fitting.priors`.
     output
         Folder for everything. The same fit in the same folder continues: nothing is run twice,
         and a larger budget adds to what is there.

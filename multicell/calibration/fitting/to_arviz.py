@@ -11,7 +11,7 @@ from multicell.errors import FitFailed
 from multicell.host.extras import needs
 
 if TYPE_CHECKING:
-    from multicell.calibration.fitted import Fit
+    from multicell.calibration.fitting.fitted import Fit
 
 
 def to_arviz(fit: Fit) -> Any:

@@ -13,9 +13,10 @@ readings say is approximated by expectation propagation (Minka 2001, UAI 17, 362
 factor each; means and variances of readings are those of the signed quantity cut off at zero. Where
 the readings above zero leave a reading of zero no room, the white part grows until both are likely.
 
-The synthetic likelihood of the processes (:mod:`multicell.calibration.problem`) gives the next
-points that are worth a run, and with fresh runs an approximate posterior
-(:mod:`multicell.calibration.likelihood`), at a hundredth of the cost of one sampled with runs.
+The synthetic likelihood of the processes (:mod:`~multicell.calibration.fitting.problem`) gives the
+next points that are worth a run, and with fresh runs an approximate posterior
+(:mod:`~multicell.calibration.fitting.likelihood`), at a hundredth of the cost of one sampled with
+runs.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.calibration.priors import Prior
+from multicell.calibration.fitting.priors import Prior
 from multicell.measured.noise import Array, Noise
 
 PARTICLES: Final = 2000  # draws from a posterior

@@ -37,10 +37,10 @@ from typing import Final, final
 import numpy as np
 from scipy.linalg import eigh
 
-from multicell.calibration.emulator import ENOUGH_DRAWS, PARTICLES, Emulator, best_of, draws
-from multicell.calibration.pool import Pool
-from multicell.calibration.problem import FitProblem, misfit
-from multicell.calibration.search import Evaluation, Search
+from multicell.calibration.fitting.emulator import ENOUGH_DRAWS, PARTICLES, Emulator, best_of, draws
+from multicell.calibration.fitting.pool import Pool
+from multicell.calibration.fitting.problem import FitProblem, misfit
+from multicell.calibration.fitting.search import Evaluation, Search
 from multicell.measured.noise import Array, Noise, shrink
 
 MIN_REPEATS: Final = 4  # fresh runs of which a covariance can be estimated

@@ -1,8 +1,8 @@
 """Predictive checks of a fit: replicated data, and the accuracy of prediction left out.
 
 Given parameters θ, data minus mean m(θ) of runs are taken to be normal with the covariance C of
-:mod:`multicell.calibration.likelihood` at the best point: errors of measurement, scatter of tissues
-and of the mean of fresh runs, error of the emulator.
+:mod:`~multicell.calibration.fitting.likelihood` at the best point: errors of measurement, scatter
+of tissues and of the mean of fresh runs, error of the emulator.
 
 - Posterior predictive checks (Gelman, Meng & Stern 1996, Statistica Sinica 6, 733) compare a
   discrepancy of the data with that of replicated data: χ² = r'C⁻¹r with r = m(θ) - y, and the
@@ -30,9 +30,9 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from multicell.calibration.emulator import ENOUGH_DRAWS, best_of, draws
-from multicell.calibration.priors import Prior
-from multicell.calibration.verdict import quantiles
+from multicell.calibration.fitting.emulator import ENOUGH_DRAWS, best_of, draws
+from multicell.calibration.fitting.priors import Prior
+from multicell.calibration.fitting.verdict import quantiles
 from multicell.errors import SceneError
 from multicell.host.extras import needs
 from multicell.measured.noise import Array
@@ -40,7 +40,7 @@ from multicell.measured.noise import Array
 if TYPE_CHECKING:
     import pandas as pd
 
-    from multicell.calibration.fitted import Fit
+    from multicell.calibration.fitting.fitted import Fit
 
 
 @final

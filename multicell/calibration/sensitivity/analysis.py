@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, final
 
-from multicell.calibration.indices import (
+from multicell.calibration.sensitivity.indices import (
     INDEX_COLUMNS,
     MIN_SIZE,
     RELIABLE,
@@ -16,8 +16,13 @@ from multicell.calibration.indices import (
     sample,
     sensitivity_indices,
 )
-from multicell.calibration.sensitivity_result import Sensitivity
-from multicell.calibration.sobol import SobolIndices, sobol_result, sobol_sample, with_folder
+from multicell.calibration.sensitivity.result import Sensitivity
+from multicell.calibration.sensitivity.sobol import (
+    SobolIndices,
+    sobol_result,
+    sobol_sample,
+    with_folder,
+)
 from multicell.host.extras import needs
 from multicell.results.quantities import known_unit
 from multicell.schema import chosen
@@ -66,7 +71,7 @@ def sensitivity(
         Key -> range, ``{"growth.cycle_time": "8:25 h", "drag.viscosity": "log 0.1:10 kPa s"}``.
     method
         ``"morris"``: screening, effects in the observable's unit; ``"sobol"``: parts of its
-        variance (:mod:`multicell.calibration.sobol`), in many more runs.
+        variance (:mod:`multicell.calibration.sensitivity.sobol`), in many more runs.
     size
         Trajectories of Morris, by default 10: so many times one run more than parameters. Points of
         Sobol', a power of two, by default 64: so many times two runs more than parameters.
@@ -205,7 +210,7 @@ def sample_sensitivity(
 
     - ``scene``, ``ranges``, ``seeds``: as in :func:`sensitivity`, checked
     - ``values``, observable -> (n, seeds): at the points of
-      :func:`multicell.calibration.indices.sample`; NaN where there is none
+      :func:`multicell.calibration.sensitivity.indices.sample`; NaN where there is none
     - ``failures``: name of a run that failed -> reason
     """
     names = [free.name for free in ranges]

@@ -8,9 +8,9 @@ from typing import Final, final
 
 import numpy as np
 
-from multicell.calibration.priors import Prior
+from multicell.calibration.fitting.priors import Prior
+from multicell.calibration.shared.wording import value_in_words
 from multicell.measured.noise import Array
-from multicell.report.wording import time_unit, written
 from multicell.studies.axes import Range
 
 OPEN: Final = 0.7
@@ -112,10 +112,3 @@ def undetermined(
         )
         found.append(Undetermined(names, "ridge", words))
     return found
-
-
-def value_in_words(value: float, unit: str) -> str:
-    """Return a value in base units in words, times in a unit that suits them."""
-    if unit == "s" and value:
-        return time_unit(abs(value)).text(value)
-    return f"{value:.4g} {written(unit)}".strip()

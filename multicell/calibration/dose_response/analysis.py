@@ -11,8 +11,14 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from multicell.calibration.dose_curve import DOSES, LEAST, combine_drugs, draw_means, fit_curve
-from multicell.calibration.dose_response_result import DoseResponse, Row
+from multicell.calibration.dose_response.curve import (
+    DOSES,
+    LEAST,
+    combine_drugs,
+    draw_means,
+    fit_curve,
+)
+from multicell.calibration.dose_response.result import DoseResponse, Row
 from multicell.errors import DataError, FitFailed, SceneError
 from multicell.host.extras import needs
 from multicell.measured.columns import finite_entry
@@ -30,7 +36,7 @@ from multicell.units import shown
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from multicell.calibration.dose_curve import Estimate
+    from multicell.calibration.dose_response.curve import Estimate
     from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
     from multicell.studies.engine import RunOutcome
@@ -383,7 +389,8 @@ def analyse_doses(
     """Return the dose response of values (m, n) at points (m, k), NaN where there are none.
 
     The first point is the control, and ``rows`` says of each value where it comes from; other
-    parameters are those of :class:`DoseResponse` and :func:`multicell.calibration.dose_curve`.
+    parameters are those of :class:`DoseResponse` and
+    :mod:`multicell.calibration.dose_response.curve`.
     """
     there: NDArray[np.bool_] = np.asarray(np.isfinite(values).any(axis=1))
     means = np.array([np.mean(row[np.isfinite(row)]) for row in values[there]])

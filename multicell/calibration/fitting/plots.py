@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
-from multicell.calibration.priors import values_at
-from multicell.calibration.verdict import quantiles
+from multicell.calibration.fitting.priors import values_at
+from multicell.calibration.fitting.verdict import quantiles
 from multicell.measured.noise import Array
 from multicell.report.plots.style import BLUE, INK, QUIET, RED, counts, styled
 from multicell.report.wording import TimeUnit, time_unit, written
@@ -20,8 +20,8 @@ from multicell.studies.pictures import panels, with_heading
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from multicell.calibration.fitted import Fit
-    from multicell.calibration.profile import LikelihoodProfile
+    from multicell.calibration.fitting.fitted import Fit
+    from multicell.calibration.fitting.profile import LikelihoodProfile
     from multicell.measured.data import Datum
     from multicell.studies.axes import Range
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from multicell.calibration.fit import plan_fit
-from multicell.calibration.fit_plan import FIT, FitPlan, make_runs
-from multicell.calibration.fitted import Fit
-from multicell.calibration.pool import Pool
-from multicell.calibration.priors import Density
+from multicell.calibration.fitting.fit import plan_fit
+from multicell.calibration.fitting.fitted import Fit
+from multicell.calibration.fitting.plan import FIT, FitPlan, make_runs
+from multicell.calibration.fitting.pool import Pool
+from multicell.calibration.fitting.priors import Density
 from multicell.errors import MulticellError, OutputError
 from multicell.results.documents import read_document
 from multicell.results.folder import to_json

@@ -7,7 +7,7 @@ where the profile rises above its quantile at both sides (Raue et al. 2009, Bioi
 1923; Simpson & Maclaren 2023, PLoS Comput. Biol. 19, e1011515). No prior enters.
 
 The likelihood is that of the fit: its emulator with fresh runs, errors of the emulator that check
-runs have found included (:mod:`multicell.calibration.likelihood`).
+runs have found included (:mod:`multicell.calibration.fitting.likelihood`).
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
 
-from multicell.calibration.emulator import Loss
-from multicell.calibration.priors import values_at
+from multicell.calibration.fitting.emulator import Loss
+from multicell.calibration.fitting.priors import values_at
 from multicell.errors import FitFailed, SceneError
 from multicell.measured.noise import Array
 from multicell.schema import near_miss
 from multicell.units import shown
 
 if TYPE_CHECKING:
-    from multicell.calibration.fitted import Fit
+    from multicell.calibration.fitting.fitted import Fit
     from multicell.studies.axes import Range
 
 PROFILE_POINTS: Final = 41

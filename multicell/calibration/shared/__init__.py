@@ -1,0 +1,1 @@
+"""What fits, dose responses and sensitivity analyses share."""
