@@ -8,19 +8,19 @@ import pytest
 
 import multicell as mc
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
+PROGRAMS = Path(__file__).resolve().parents[2] / "docs" / "programs"
 PACKING = 0.76
 
 
 @pytest.fixture(scope="module")
 def docs():
     """Return the modules of the documentation that solve along the radius, and that fit."""
-    sys.path.insert(0, str(DOCS))
+    sys.path.insert(0, str(PROGRAMS))
     try:
         import emt6_ball
         import emt6_fit
     finally:
-        sys.path.remove(str(DOCS))
+        sys.path.remove(str(PROGRAMS))
     return emt6_ball, emt6_fit
 
 

@@ -1,1 +1,1 @@
-"""What fits, dose responses and sensitivity analyses share."""
+"""Wording shared by fits, dose responses and sensitivity analyses."""

@@ -1,4 +1,4 @@
-"""An hour of a ball of growing cells in PhysiCell, for docs/performance.py.
+"""An hour of a ball of growing cells in PhysiCell, for performance.py.
 
 Problem   a ball of cells that grow, divide and take up oxygen from a field with 38 mmHg at its
           faces, in the template project of PhysiCell 1.14.2 with its default steps (0.01, 0.1 and

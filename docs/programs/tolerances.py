@@ -7,7 +7,8 @@ Question  how far are single cells off at the end of a step that a method takes 
 Measured  distance from the reference in µm: median over all cells and steps, median over the
           steps of the worst cell, worst cell of all; and what a shift of all positions by
           0.01 µm (root mean square of a coordinate) at the beginning does to the worst cell
-Command   python docs/tolerances.py                 (five minutes; --methods auto:0.01 for others)
+Cost      five minutes
+Command   python docs/programs/tolerances.py    (--methods auto:0.01 for others)
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ Problem   Install; a first spheroid with its page; a cell line of one's own at t
 Scaling   Installing depends on the network and pip's cache, the first run on how fast the machine
           compiles; everything after that is computation.
 Cost      A few minutes, most of it to install and to compile.
-Command   python docs/newcomer.py            prints what each step takes
-          python docs/newcomer.py --write    puts them on the page of the first tutorial, too
+Command   python docs/programs/newcomer.py            prints the time of each step
+          python docs/programs/newcomer.py --write    puts them on the first tutorial's page, too
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
-TOP = Path(__file__).resolve().parents[1]
+TOP = Path(__file__).resolve().parents[2]
 PAGE = TOP / "docs" / "tutorials" / "first-spheroid.md"
 SMALL = [
     *("--set", "initial.count=100", "--set", "initial.stage=asynchronous"),

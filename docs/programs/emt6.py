@@ -4,11 +4,12 @@ Problem   balls of 740 um at rest in eight media: how deep cells live, how deep 
           much the rim consumes; and a spheroid that grows from 600 cells at 102 h of culture
 Data      docs/data/emt6-{rims,po2,consumption}.csv (Mueller-Klieser, Freyer & Sutherland 1986),
           docs/data/emt6-growth.csv (Freyer & Sutherland 1986)
-Fitted    docs/emt6_ball.py by docs/emt6_fit.py: five rules of death to all of the first three, and
-          to each alone, which predicts the others; growth with what they say
+Fitted    emt6_ball.py by emt6_fit.py: five rules of death to all of the first three, and to each
+          alone, which predicts the others; growth with the parameters of those fits
 Cost      CPU time of one thread: runs 1 minute, rules 3, sets 3, profiles 2, growth some ten and
           0.6 GB of memory
-Command   python docs/emt6.py        (all and the pictures; --only runs rules sets profiles growth)
+Command   python docs/programs/emt6.py
+          (all and the pictures; --only runs rules sets profiles growth)
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ import multicell as mc
 from multicell.report.plots.style import BLUE, INK, QUIET, RED, save_figure, styled
 from multicell.results.frame import Frame
 
-HERE = Path(__file__).parent
+DOCS = Path(__file__).parents[1]
 PACKING = 0.76
 """Part of tissue that cells fill: amounts of tissue and of cells differ by this factor."""
 FACTORS = np.array([0.25, 0.5, 0.7, 0.85, 1.18, 1.4, 2.0, 4.0])
@@ -65,9 +66,9 @@ def main() -> None:
     if "growth" in only:
         growth(data, known)
     if {"runs", "pictures"} & set(only):
-        save_figure(draw_rest(data, known, runs(data)), HERE / "figures" / "emt6-rims.png")
-    save_figure(draw_growth(data, known), HERE / "figures" / "emt6.png")
-    save_figure(draw_profiles(), HERE / "figures" / "emt6-profiles.png")
+        save_figure(draw_rest(data, known, runs(data)), DOCS / "figures" / "emt6-rims.png")
+    save_figure(draw_growth(data, known), DOCS / "figures" / "emt6.png")
+    save_figure(draw_profiles(), DOCS / "figures" / "emt6-profiles.png")
 
 
 def tell(name: str, tissue: Tissue, data: Measured, squares: float | None = None) -> None:

@@ -2,7 +2,7 @@
 
 Parameters are those of test/TestNumerics.hpp in github.com/jmosborne/MultiCellularNumericalMethods
 and the defaults of Chaste; lengths in cell diameters, times in hours. Births and directions are
-drawn anew. ``docs/osborne2024.py`` solves them.
+drawn anew. ``osborne2024.py`` solves them.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Problem   asynchronous cells of the scene `spheroid` in rich medium: all grow, divide and eat
           oxygen, a steady field on cubes. One hour after one coupling step to settle in. With
-          --physicell the same number of cells there (docs/physicell_speed.py), and single commands
+          --physicell the same number of cells there (physicell_speed.py), and single commands
           as a user gives them
 Measured  wall time of that hour in a process of its own, with one thread and with all; peak memory
           above what the process held before; the share of each part of a step. Medians of rounds:
@@ -12,13 +12,13 @@ Separated compilation and start: each size is run once before it is timed, by th
           What other programs use of the machine in the second before is in the table
 Cost      a round takes five minutes on 2 cores, with a million cells; PhysiCell's 100,000 cells
           three to five more with 12 simulated minutes
-Command   python docs/performance.py --physicell FOLDER [--rounds 5] [--cells 100 1000 ...]
+Command   python docs/programs/performance.py --physicell FOLDER [--rounds 5] [--cells 100 1000 ...]
           [--threads 1 2] [--beside 10000 100000] [--parts hour beside runs] [--minutes 6 6]
-          python docs/performance.py --tables     only makes the page from the table
+          python docs/programs/performance.py --tables     only makes the page from the table
 
 FOLDER is a built template project of PhysiCell, its sources, or an archive of them. The rows of
 docs/chart-data/speed.csv are replaced by what is measured, and docs/performance.md is made from it;
-other pages quote it (docs/speed_tables.py).
+other pages quote it (speed_tables.py).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ import pandas as pd
 import speed_tables
 from physicell_speed import build, hour, version
 
-HERE = Path(__file__).parent
+DOCS = Path(__file__).parents[1]
 CELLS = (100, 1_000, 10_000, 100_000, 1_000_000)
 BESIDE = (10_000, 100_000)
 HOUR = 3600.0

@@ -23,7 +23,7 @@ from multicell.mechanics.motion import Motion, Work
 from multicell.mechanics.system import Mechanics
 from multicell.scene.parts import IntegratorOptions
 
-HERE = Path(__file__).parent
+DOCS = Path(__file__).parents[1]
 Array = NDArray[np.float64]
 
 

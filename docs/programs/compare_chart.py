@@ -4,7 +4,7 @@ Problem   the built-in scene `stiff-inclusions`: ten stiff cells among a thousan
 Measured  what `multicell compare stiff-inclusions -o FOLDER --threads 1` measures; it is done here
           unless FOLDER holds it already
 Cost      two minutes
-Command   python docs/compare_chart.py FOLDER [--repeats 3] [--budget 60] [--no-times]
+Command   python docs/programs/compare_chart.py FOLDER [--repeats 3] [--budget 60] [--no-times]
 
 The axis of processor time belongs to an idle machine. --no-times leaves that panel out, with the
 failures above it: errors and evaluations are the same on any machine.
@@ -64,7 +64,9 @@ def main() -> None:
         remove_times(figure)
     picture = FIGURES / f"compare-{SCENE}.png"
     save_figure(figure, picture)
-    command = "python docs/compare_chart.py chart" + (" --no-times" if given.no_times else "")
+    command = "python docs/programs/compare_chart.py chart"
+    if given.no_times:
+        command += " --no-times"
     record(picture, command, (row["method"] for row in result.table))
 
 

@@ -8,7 +8,7 @@ Verdict   the default is the cheapest candidate that changes no observable by mo
           its scatter, as far as the seeds can tell: paired differences have an error of their own,
           because trajectories part, and it is printed beside them
 Cost      printed at the beginning; one thread (--share 1/2 and --share 2/2 for two processes)
-Command   python docs/defaults.py                (--scenes, --candidates auto:0.1, --seeds)
+Command   python docs/programs/defaults.py                (--scenes, --candidates auto:0.1, --seeds)
 
 What is done is kept in docs/chart-data and not computed again. With --tables nothing is computed.
 """
@@ -34,8 +34,8 @@ from multicell.errors import MulticellError
 from multicell.integrators import registry
 from multicell.tables.text import table_text
 
-HERE = Path(__file__).parent
-RICH = str(HERE / "rich-medium.toml")
+DOCS = Path(__file__).parents[1]
+RICH = str(DOCS / "rich-medium.toml")
 NAME = "defaults"
 SEEDS = 8
 REFERENCE = ("auto", 0.001)
@@ -247,7 +247,7 @@ def main() -> None:
     parser.add_argument("--share", type=_share, default=(1, 1), help="part of the work, like 1/2")
     parser.add_argument("--budget-minutes", type=float, default=math.inf)
     parser.add_argument("--tables", action="store_true", help="compute nothing")
-    parser.add_argument("--results", type=Path, default=HERE / "chart-data")
+    parser.add_argument("--results", type=Path, default=DOCS / "chart-data")
     given = parser.parse_args()
     if not given.tables:
         compute(given)

@@ -9,7 +9,7 @@ Points    chart-data/mathias2022-published.csv: every third step, means of the t
           lie behind the paper's figures in github.com/somathias/cbmos, tag exp-Mathias2022;
           chart-data/mathias2022-daughters.csv: figure 3, as that repository computes it
 Cost      three minutes
-Command   python docs/mathias2022.py             (--tables: from what is stored)
+Command   python docs/programs/mathias2022.py             (--tables: from what is stored)
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ import pandas as pd
 from mathias2022_problems import LAWS, inexact_euler, problems, trajectory_error
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from papers import HERE, Array, mechanics, motion, order, pick, reached, solve, table
+from papers import DOCS, Array, mechanics, motion, order, pick, reached, solve, table
 from picture_origins import record
 
 from multicell.integrators.registry import METHODS
 from multicell.report.plots.style import blank, save_figure, styled
 
 DATA, PUBLISHED, DAUGHTERS = (
-    HERE / "chart-data" / f"mathias2022{part}.csv" for part in ("", "-published", "-daughters")
+    DOCS / "chart-data" / f"mathias2022{part}.csv" for part in ("", "-published", "-daughters")
 )
 STEPS = 0.001 * 1.25 ** np.arange(0, 31, 3)
 OVER_STEP = ("euler", "heun", "rk4", "backward-euler", "theirs")
@@ -238,9 +238,9 @@ def main() -> None:
         frame["row"] = np.round(np.log(frame[column] / 1e-3) / np.log(1.25)).astype(int)
     title = "Separation of two daughters, in cell diameters (figure 3)"
     print(f"{title}\n\n{daughters(pd.read_csv(DAUGHTERS))}\n\n{tables(data, published)}")
-    picture = HERE / "figures" / "mathias2022.png"
+    picture = DOCS / "figures" / "mathias2022.png"
     save_figure(draw(data, published), picture)
-    record(picture, "python docs/mathias2022.py", {*OVER_STEP, *OVER_COST} - {"theirs"})
+    record(picture, "python docs/programs/mathias2022.py", {*OVER_STEP, *OVER_COST} - {"theirs"})
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""What docs/performance.py has measured: the table, its medians, and what pages quote of it.
+"""What performance.py has measured: the table, its medians, and what pages quote of it.
 
 A page quotes a figure by a mark behind it, which no reader sees: ``14.4 s<!-- figure: hour,
 1000000 cells, 1 thread -->``. The names are the keys of :func:`figures`. :func:`requote` writes the
 value of the table with as many digits as stand there (zeros at the end of a whole number are none),
-so that a page is right if that changes nothing. Blocks between two marks (docs/marked.py) are made
+so that a page is right if that changes nothing. Blocks between two marks (marked.py) are made
 as a whole.
 """
 
@@ -18,11 +18,11 @@ from typing import Any
 import pandas as pd
 from marked import replaced
 
-HERE = Path(__file__).parent
-TABLE = HERE / "chart-data" / "speed.csv"
+DOCS = Path(__file__).parents[1]
+TABLE = DOCS / "chart-data" / "speed.csv"
 """One row for each measurement of each round; of what has been measured again only the last."""
-ORIGINS = HERE / "figures" / "origins.json"
-PAGE = HERE / "performance.md"
+ORIGINS = DOCS / "figures" / "origins.json"
+PAGE = DOCS / "performance.md"
 KEY = ["what", "program", "cells", "threads"]
 PARTS = ["mechanics", "nutrient", "events", "biology"]
 RUNS = {
@@ -135,8 +135,8 @@ def requote(text: str, known: dict[str, float]) -> str:
 
 def pages() -> list[Path]:
     """Return all pages that may quote figures."""
-    top = HERE.parent
-    return [top / "README.md", top / "CONTRIBUTING.md", *sorted(HERE.rglob("*.md"))]
+    top = DOCS.parent
+    return [top / "README.md", top / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
 
 
 def table(rows: list[list[str]]) -> str:

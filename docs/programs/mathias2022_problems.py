@@ -1,7 +1,7 @@
 """The four problems, three laws and the backward Euler of Mathias, Coulier and Hellander (2022).
 
 Parameters and starts are those of the experiments of github.com/somathias/cbmos at the tag
-exp-Mathias2022, lengths in cell diameters, times in hours. ``docs/mathias2022.py`` solves them.
+exp-Mathias2022, lengths in cell diameters, times in hours. ``mathias2022.py`` solves them.
 """
 
 from __future__ import annotations

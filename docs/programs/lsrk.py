@@ -1,11 +1,11 @@
 """An outside reference for ``rkc2``: the stabilised methods of SUNDIALS on the same steps.
 
-Problem   coupling steps of growing clusters of some 300 cells (docs/tile_problems.py)
+Problem   coupling steps of growing clusters of some 300 cells (tile_problems.py)
 Methods   ``rkc2``, and RKC and RKL of order 2 from ARKODE's LSRKStep, with a power iteration for
           the dominant eigenvalue, at the same tolerance and the same share of it in the norm
 Needs     Python 3.12 or later and the package sundials4py, beside multicell
 Cost      a minute of CPU
-Command   python docs/lsrk.py
+Command   python docs/programs/lsrk.py
 """
 
 from __future__ import annotations

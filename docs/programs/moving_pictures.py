@@ -1,11 +1,12 @@
-"""Makes the film of the README, the section of the first page and the stills of docs/pictures.md.
+"""Make the film of the README, the section of the first page and the stills of docs/pictures.md.
 
-``python docs/moving_pictures.py [--run FOLDER]`` runs the built-in scene ``spheroid`` (about ten
-seconds on one core) unless FOLDER holds that run already, and writes ``figures/spheroid.webp`` by
-``multicell movie`` and ``figures/section.png`` by ``multicell plot``. How many cells the run ends
-with, and how large it is, is noted beside them (docs/picture_origins.py): pages quote it from
-there. The stills ``figures/view-light.png`` and ``figures/view-dark.png`` are taken of the run's
-page in Chromium, by playwright; without either they are left as they are.
+``python docs/programs/moving_pictures.py [--run FOLDER]`` runs the built-in scene ``spheroid``
+(about ten seconds on one core) unless FOLDER holds that run already, and writes
+``figures/spheroid.webp`` by ``multicell movie`` and ``figures/section.png`` by ``multicell plot``.
+The number of cells at the end and the size of the run are recorded beside them
+(picture_origins.py): pages quote them from there. Playwright takes the stills
+``figures/view-light.png`` and ``figures/view-dark.png`` of the run's page in Chromium; without
+either they are left as they are.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from multicell.report.plots.style import save_figure
 from multicell.studies.runs import MODEL_VERSION
 
 SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-COMMAND = "python docs/moving_pictures.py"
+COMMAND = "python docs/programs/moving_pictures.py"
 
 
 def draw_run(result: mc.Result) -> None:

@@ -1,6 +1,6 @@
 """Integration methods that were tried and are not in the package, compared with those that are.
 
-Problem   coupling steps of growing tissue (docs/tile_problems.py) with 350 cells, and the first
+Problem   coupling steps of growing tissue (tile_problems.py) with 350 cells, and the first
           step of the built-in scene stiff-inclusions with 1,000
 Error     root mean square over the cells of the distance from the reference, over that of the
           motion that the best dilation leaves; goals of 10 % and 1 %
@@ -8,7 +8,7 @@ Question  the cost of reaching a goal, in passes over all cells (Work.effort, in
           in CPU time. Methods of the package are compiled, those that were tried are not.
 Methods   ROCK4, proximal BDF2, IMEX (stiff pairs implicit), multirate RKC (mRKC)
 Cost      printed at the end: about four minutes of CPU, one thread
-Command   python docs/tried.py     (--goals, --cells, --methods, --cache)
+Command   python docs/programs/tried.py     (--goals, --cells, --methods, --cache)
 
 Tolerances and steps are tried from coarse to fine; the cheapest solve that reaches a goal counts.
 For IMEX and mRKC the best of three definitions of "stiff" counts, and a pass over the cells with

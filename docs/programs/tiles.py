@@ -1,17 +1,17 @@
 """Implicit or explicit: which method reaches an error at least cost, tile by tile.
 
-Problem   coupling steps of ten minutes of growing clusters (docs/tile_problems.py): quiet, typical
+Problem   coupling steps of ten minutes of growing clusters (tile_problems.py): quiet, typical
           and fresh tissue, 1e2 to 1e5 cells, λΔt from 10 to 1e6, several seeds
 Error     root mean square over the cells of the distance from the reference, over that of the
           motion that the best dilation leaves (multicell.comparison.null_methods); the error of the
           worst cell over the largest motion stands beside it
 Question  which method has an error of 10 % and of 1 % at least CPU time, and what the default
-          tolerances cost and reach (docs/tile_race.py)
+          tolerances cost and reach (tile_race.py)
 Methods   all in the registry with an error control, and the null methods. From the fourth seed on,
           and from one number of cells to the next, methods that were far behind are left out.
 Cost      printed at the beginning; one thread. --quick takes about two minutes
-Command   python docs/tiles.py     (--states, --cells, --stiffness, --seeds, --methods)
-          python docs/tiles.py --again 5     five tiles with other seeds, compared with the first
+Command   python docs/programs/tiles.py     (--states, --cells, --stiffness, --seeds, --methods)
+          python docs/programs/tiles.py --again 5     five tiles with other seeds, to compare
 
 What is done is kept in docs/chart-data and not computed again. With --tables nothing is computed;
 --renew METHOD solves by that method again, if it has changed.
@@ -42,7 +42,7 @@ from multicell.integrators.registry import METHODS
 from multicell.report.plots.style import save_figure
 from multicell.tables.text import table_text
 
-HERE = Path(__file__).parent
+DOCS = Path(__file__).parents[1]
 STIFFNESS = (1e1, 1e2, 1e3, 1e4, 1e5, 1e6)
 SEEDS = {100: 20, 1_000: 20, 10_000: 2, 100_000: 1}
 """Number of cells -> number of seeds."""
@@ -318,7 +318,7 @@ def show(given: argparse.Namespace) -> None:
         picture = given.figures / f"tiles{end}.png"
         save_figure(draw(*first, goal), picture)
         best = {point.best for point in points(*first, goal)} - {""}
-        record(picture, "python docs/tiles.py", best)
+        record(picture, "python docs/programs/tiles.py", best)
     if given.page is not None:
         page = given.page.read_text(encoding="utf-8")
         for name, text in pages.items():
@@ -341,8 +341,8 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--methods", nargs="+", default=registered())
     made.add_argument("--budget-minutes", type=float, default=math.inf, help="of CPU time")
     made.add_argument("--tables", action="store_true", help="compute nothing")
-    made.add_argument("--results", type=Path, default=HERE / "chart-data")
-    made.add_argument("--figures", type=Path, default=HERE / "figures")
+    made.add_argument("--results", type=Path, default=DOCS / "chart-data")
+    made.add_argument("--figures", type=Path, default=DOCS / "figures")
     made.add_argument("--page", type=Path, help="page whose tables are replaced")
     made.add_argument("--cache", type=Path, help="folder of recorded states and references")
     return made
@@ -353,7 +353,7 @@ def main() -> None:
     given = parser().parse_args()
     if given.quick:
         given.cells, given.stiffness, given.seeds = (100, 1_000), (1e1, 1e3, 1e5), 1
-        if given.results == HERE / "chart-data":
+        if given.results == DOCS / "chart-data":
             given.results = given.figures = Path("tiles-quick")
     if given.renew:
         warm_up(given)

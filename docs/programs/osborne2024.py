@@ -11,7 +11,7 @@ Theirs    forward Euler, midpoint, RK3, RK4, backward Euler, Adams-Moulton 2 wit
           steps that are shortened where a cell moves further than a threshold. The paper's numbers
           are not public: its statements are what is compared
 Cost      eight minutes
-Command   python docs/osborne2024.py             (--tables: from what is stored)
+Command   python docs/programs/osborne2024.py             (--tables: from what is stored)
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ from osborne2024_problems import (
     packaged,
     threshold,
 )
-from papers import HERE, order, pick, reached, solve, table
+from papers import DOCS, order, pick, reached, solve, table
 from picture_origins import record
 
 from multicell.integrators.registry import METHODS
 from multicell.report.plots.style import blank, save_figure, styled
 
-DATA = HERE / "chart-data" / "osborne2024.csv"
+DATA = DOCS / "chart-data" / "osborne2024.csv"
 STEPS = 2.0 ** -np.arange(4, 12)
 FIXED = {"euler": (5, 7, 9, 11, 12, 13), "heun": range(6, 11), "rk4": range(6, 10),
          "backward-euler": (5, 7)}  # fmt: skip
@@ -184,9 +184,9 @@ def main() -> None:
         measure().to_csv(DATA, index=False, float_format="%.6g", lineterminator="\n")
     data = pd.read_csv(DATA)
     print(tables(data))
-    picture = HERE / "figures" / "osborne2024.png"
+    picture = DOCS / "figures" / "osborne2024.png"
     save_figure(draw(data), picture)
-    record(picture, "python docs/osborne2024.py", {*OURS.values(), *FIXED, *TOLERANT})
+    record(picture, "python docs/programs/osborne2024.py", {*OURS.values(), *FIXED, *TOLERANT})
 
 
 if __name__ == "__main__":

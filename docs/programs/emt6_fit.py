@@ -1,4 +1,4 @@
-"""Fits of the EMT6/Ro tissue of docs/emt6_ball.py, and what each set of data says of the others.
+"""Fits of the EMT6/Ro tissue of emt6_ball.py, and what each set of data says of the others.
 
 Least squares on logarithms of the parameters, from many starts. Beside the data stand what is
 reported of the parameters (``KNOWN``), and two effects as they were measured in single cells.
@@ -14,7 +14,7 @@ import numpy as np
 from emt6_ball import Array, Tissue, ball, course
 from scipy.optimize import least_squares
 
-DATA = Path(__file__).parent / "data"
+DATA = Path(__file__).parents[1] / "data"
 SETS = ("rims", "pO2", "consumption")
 RANGES = {
     "oxygen": (0.005, 0.03), "glucose": (0.01, 0.2), "crabtree": (0.3, 10.0), "half": (0.03, 2.0),

@@ -4,7 +4,7 @@ Every box is a room or a module on the top level, the wider the more files it ha
 room to each room below that it imports when it is loaded; what follows from other arrows is left
 out. It is the darker the more files import.
 
-    python docs/rooms.py
+    python docs/programs/rooms.py
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from matplotlib.patches import Rectangle
 
 from multicell.report.plots.style import BLUE, INK, blank, save_figure, styled
 
-HERE = Path(__file__).parent
-PACKAGE = HERE.parent / "multicell"
+DOCS = Path(__file__).parents[1]
+PACKAGE = DOCS.parent / "multicell"
 WHAT = {
     "cli": "commands", "comparison": "work–precision, stability", "studies": "many runs",
     "calibration": "fits, sensitivity",
@@ -43,7 +43,7 @@ WHAT = {
 
 def floors() -> list[list[str]]:
     """Return the rooms of each floor, the top one first."""
-    settings = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))
+    settings = tomllib.loads((DOCS.parent / "pyproject.toml").read_text(encoding="utf-8"))
     (contract,) = (
         c for c in settings["tool"]["importlinter"]["contracts"] if c["type"] == "layers"
     )
@@ -130,4 +130,4 @@ def draw() -> Figure:
 
 
 if __name__ == "__main__":
-    save_figure(draw(), HERE / "figures" / "rooms.png")
+    save_figure(draw(), DOCS / "figures" / "rooms.png")

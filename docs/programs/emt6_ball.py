@@ -1,4 +1,4 @@
-"""A ball of EMT6/Ro tissue as two equations along its radius: what docs/emt6.py fits with.
+"""A ball of EMT6/Ro tissue as two equations along its radius: what emt6.py fits with.
 
 Oxygen o and glucose g diffuse into a ball of tissue of radius R through a layer of medium that is
 not stirred; living tissue takes them up, the core within radius a does not:

@@ -1,6 +1,6 @@
 """Local time stepping: short steps for the cells that move, long ones for the others.
 
-Problem   coupling steps of ten minutes of growing clusters (docs/tile_problems.py): quiet, typical
+Problem   coupling steps of ten minutes of growing clusters (tile_problems.py): quiet, typical
           and fresh tissue at a λΔt of 31 (5 kPa s) and 310
 Question  how many evaluations would it save
 Methods   ``all alike``: RKC2 under error control, the same step for all cells. ``two rates``: the
@@ -13,7 +13,7 @@ Bound     ``ideal``: every cell takes the longest steps, halved from the couplin
           it ``alike``: such steps for all cells with the same 99th percentile of summed errors
 Counted   evaluations of all cells; one of some cells counts as the share of pairs that it needs
 Cost      a minute of CPU for 1,000 cells, most of it for the bound (--no-bound leaves it out)
-Command   python docs/local_stepping.py     (--cells 10000)
+Command   python docs/programs/local_stepping.py     (--cells 10000)
 """
 
 from __future__ import annotations
