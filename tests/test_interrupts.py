@@ -1,6 +1,7 @@
 """Ctrl-C and other signals at any moment: no crash, no traceback, nothing lost.
 
-``pytest -m harness tests/test_interrupts.py --interrupts 200`` tries as many as asked.
+``pytest -m harness tests/test_interrupts.py --interrupts 200`` tries as many as asked, from the
+case ``--first-seed`` on.
 """
 
 import contextlib
@@ -491,8 +492,8 @@ def _read_back(folder):
 @pytest.mark.harness
 @pytest.mark.slow
 def test_interrupts_at_any_moment_end_in_one_word(tmp_path, request):
-    found = []
-    for case in range(request.config.getoption("--interrupts")):
+    found, first = [], request.config.getoption("--first-seed")
+    for case in range(first, first + request.config.getoption("--interrupts")):
         rng = random.Random(case)
         folder = tmp_path / str(case)
         folder.mkdir()
