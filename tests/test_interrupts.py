@@ -333,7 +333,7 @@ def press():
 
 def new_file(path):
     if WANTED in path.name and next(left) == 0:
-        threading.Thread(target=press).start()
+        threading.Thread(target=press, daemon=True).start()
     return usual(path)
 
 draw, left, usual = random.Random(CASE), iter(range(NUMBER, -1 << 30, -1)), folder.new_file
