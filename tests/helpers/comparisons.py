@@ -9,7 +9,7 @@ table of the page that lists it. A test measures, and hands what it finds to its
         compare.value("distance at rest", 17.178, found, tolerance=5e-4, unit="µm")
         compare.deviation("force", "4/3 E* √r h^1.5", np.abs(ours / theirs - 1).max(), 1e-12)
 
-``python docs/validation.py`` runs all of them, stores the rows, and makes the page.
+``python docs/programs/validation.py`` runs all of them, stores the rows, and makes the page.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ class Comparing:
         self.rows.append(row)
         assert row.within, f"{what}: {row.off:.3g} {unit} from {theirs}, must be within {tolerance}"
         if self.known is not None:
-            again = "run python docs/validation.py"
+            again = "run python docs/programs/validation.py"
             assert what in self.known, f"{what!r} is not on the page of validation: {again}"
             column = row.differs(self.known[what])
             assert not column, f"{what!r} is on the page with another {column}: {again}"
