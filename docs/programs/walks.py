@@ -7,8 +7,8 @@ Question  how many rooms does the reader enter, how often up, and how often one 
 Measured  in a small scene, the Python functions that are called with the value, or with something
           that holds it, in their order. A station is a room that the walk enters from another; a
           climb goes to a higher floor; a return enters a room that was left before
-Command   python docs/programs/walks.py        (a minute; --stations lists them; PYTHONPATH for another
-          version of the package)
+Command   python docs/programs/walks.py   (a minute; --stations lists them; PYTHONPATH for
+          another version of the package)
 """
 
 from __future__ import annotations
