@@ -18,8 +18,8 @@ from multicell.cli.progress import display
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from multicell.calibration.fitting.fitted import Fit
     from multicell.calibration.fitting.plan import FitPlan
+    from multicell.calibration.fitting.result import Fit
     from multicell.scene.scene import Scene
 
 
