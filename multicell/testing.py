@@ -55,7 +55,7 @@ _ROUNDING = 1e-11  # µm, below which an error is none
 
 
 def check_reaction(reaction: Any) -> None:
-    """Raise ``AssertionError``, with what is wrong, unless a reaction keeps its promises.
+    """Check a reaction; raise ``AssertionError`` with every requirement that it violates.
 
     At points over six decades of concentrations up to its ``upto``, and where one of its fields or
     all are absent:
@@ -90,7 +90,7 @@ def check_reaction(reaction: Any) -> None:
 
 
 def check_growth_law(law: GrowthLaw) -> None:
-    """Raise ``AssertionError``, with all that is wrong, unless a growth law keeps its promises.
+    """Check a growth law; raise ``AssertionError`` with every requirement that it violates.
 
     For volumes from birth to division and shares of a cycle up to 1:
 
@@ -162,7 +162,7 @@ def _check_rate(law: GrowthLaw) -> None:
 
 
 def check_response(law: ResponseLaw) -> None:
-    """Raise ``AssertionError``, with all that is wrong, unless a response keeps its promises.
+    """Check a response; raise ``AssertionError`` with every requirement that it violates.
 
     For signals that rise from 0 to 10:
 
@@ -198,7 +198,7 @@ def _check_shares(law: ResponseLaw) -> None:
 def check_network(
     network: Network, *, invariants: Iterable[Mapping[str, float]] = (), duration: float = 1.0
 ) -> None:
-    """Raise ``AssertionError``, with what is wrong, unless a network keeps its promises.
+    """Check a network; raise ``AssertionError`` with every requirement that it violates.
 
     At its start and at states around it, and over a time from there:
 
@@ -226,7 +226,7 @@ def check_network(
 
 
 def check_integrator(method: Any) -> None:
-    """Raise ``AssertionError``, with all that is wrong, unless a method keeps its promises.
+    """Check a method; raise ``AssertionError`` with every requirement that it violates.
 
     Four elastic spheres that touch and grow are followed for 80 s, a smooth problem that depends
     on time, and compared with SciPy's DOP853:
@@ -458,7 +458,7 @@ OBSERVED: Mapping[str, Any] = {
 
 
 def check_observable(observable: Observable, scene: Scene | None = None) -> None:
-    """Raise ``AssertionError``, with all that is wrong, unless an observable keeps its promises.
+    """Check an observable; raise ``AssertionError`` with every requirement that it violates.
 
     In a scene at its start and after two coupling steps, with a single cell, without cells and
     with dead cells only, and in a scene without any optional part unless it ``needs`` one:
@@ -539,7 +539,7 @@ def _observed(observable: Observable, state: TissueState, key: str) -> Iterator[
 
 
 def check_pair_law(law: PairLaw) -> None:
-    """Raise ``AssertionError``, with all that is wrong, unless a pair law keeps its promises.
+    """Check a pair law; raise ``AssertionError`` with every requirement that it violates.
 
     Pairs of three sizes and three moduli are taken through overlaps from beyond the reach to
     nine tenths of a radius:

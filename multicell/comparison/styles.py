@@ -87,7 +87,7 @@ def _info(name: str) -> MethodInfo:
 def appearance(result: SolveTable, norm: str = "position") -> dict[str, Style]:
     """Return the style of every method: at most eight in colour, the others in :data:`PALE`.
 
-    Colours can be told apart (:func:`distinguishable_colours`).
+    Colours are distinguishable (:func:`distinguishable_colours`).
     """
     own = result.facts.get("looks", {})  # the name in files on disk
     preferred = {

@@ -134,7 +134,7 @@ def _smoothed(ratios: Array) -> Array:
     largest, below = order[-count:], sizes[order[-count - 1]]
     beyond = sizes[largest] - below
     middle = float(np.median(beyond))
-    if middle > 0.0:  # else the datum tells no draws apart
+    if middle > 0.0:  # else the datum distinguishes no draws
         shape, _, scale = genpareto.fit(beyond / middle, 0.5, floc=0.0, scale=1.0)
         places = (np.arange(count) + 0.5) / count
         sizes[largest] = np.minimum(below + middle * genpareto.ppf(places, shape, scale=scale), 1.0)

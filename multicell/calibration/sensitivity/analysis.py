@@ -157,7 +157,7 @@ def plan_sensitivity(
 def run_sensitivity_plan(
     plan: SensitivityPlan, output: str | Path, **how: Any
 ) -> Sensitivity | SobolIndices:
-    """Do all runs of a plan that are not done, and return what they show.
+    """Do all runs of a plan that are not done, and return the result.
 
     - ``how``: as :meth:`multicell.studies.study.Study.run` takes it
     """

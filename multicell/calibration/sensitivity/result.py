@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @final
 class Sensitivity(IndexTable):
-    """How much each free parameter decides each observable.
+    """Influence of each free parameter on each observable.
 
     - ``ranges``: the free parameters
     - ``size``: trajectories of Morris
@@ -94,7 +94,7 @@ class Sensitivity(IndexTable):
 
 @final
 class SobolIndices(IndexTable):
-    """The parts of the variance of observables that parameters make.
+    """Contributions of parameters to the variance of observables.
 
     - ``ranges``: the free parameters
     - ``size``: points of the sequence; runs are ``size * (parameters + 2)`` for each seed

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from multicell.comparison.stability_limits.numbers import TrialTable
 
 CAPTION: Final = (
-    "What happens at each step or tolerance. Each dot is one trial; a bar is the limit in theory."
+    "Outcome at each step or tolerance. Each dot is one trial; a bar is the limit in theory."
 )
 
-# told apart by lightness as well as by hue (Okabe & Ito, darkened where white text is near)
+# distinguishable by lightness as well as by hue (Okabe & Ito, darkened where white text is near)
 TRIAL_COLOURS: Final = {
     STABLE: "#cfe8dc",
     BLOW_UP: "#8f1d14",

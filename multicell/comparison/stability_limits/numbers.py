@@ -17,7 +17,7 @@ STABILITY_FILES: Final = ("stability.csv", "limits.csv", "stability.png", "repor
 
 @dataclass(frozen=True, eq=False)
 class TrialTable(Comparison):
-    """How each method went at each setting that was tried, without pictures."""
+    """Outcome of each method at each setting that was tried, without pictures."""
 
     scene: Scene
     table: list[Row]

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @final
 class StabilityMap(TrialTable):
-    """How each method went at each setting that was tried.
+    """Outcome of each method at each setting that was tried.
 
     Attributes
     ----------
