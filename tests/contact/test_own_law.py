@@ -59,7 +59,14 @@ def Bond(overlap, modulus, radius, p, rest):  # noqa: N802
     return p.stiffness * x * x * rest * math.tanh(4.0 * overlap / p.range)
 
 
-@pytest.mark.parametrize("law", SAMPLES.values(), ids=SAMPLES)
+# each law compiles all kernels: one is enough where time is short
+@pytest.mark.parametrize(
+    "law",
+    [
+        pytest.param(law, id=name, marks=() if name == "hertz" else pytest.mark.slow)
+        for name, law in SAMPLES.items()
+    ],
+)
 def test_our_own_laws_keep_what_is_asked_of_others(law):
     check_pair_law(law)
 
