@@ -45,16 +45,13 @@ def handled():
         signal.signal(number, handler)
 
 
-# each method compiles its own loop
+OTHERS = ("rkc2", "euler", "cvode", "rosenbrock")
+"""Methods that compile a loop of their own each."""
+
+
 @pytest.mark.parametrize(
     "method",
-    [
-        "auto",
-        *(
-            pytest.param(m, marks=pytest.mark.slow)
-            for m in ("rkc2", "euler", "cvode", "rosenbrock")
-        ),
-    ],
+    ["auto", *(pytest.param(m, marks=pytest.mark.slow) for m in OTHERS)],
 )
 def test_no_kernel_calls_python(method):
     """What kernels return is made without Python, where a signal's handler could raise."""
