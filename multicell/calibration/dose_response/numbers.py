@@ -21,23 +21,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class DoseNumbers:
-    """Responses to doses, curves and combinations as numbers and tables.
-
-    - ``title``: of the scene, or name of the table
-    - ``curves``: of one drug, or of each of two alone, with ``ic50``, ``ec50``, ``slope``
-      and ``bottom`` (each with ``value``, ``low``, ``high`` and ``words``); a curve can be
-      called
-    - ``response``: what is measured, in words
-    - ``replicates``: seeds, or replicates of data, at most
-    - ``table``: a row for each run or datum: ``dose`` (or ``dose A``, ``dose B``) in the unit of
-      the curve, ``replicate`` (the seed), ``response``, ``viability``, ``run`` and ``reason`` of a
-      failure
-    - ``combination``: a row for each pair of doses: ``viability``, ``bliss_excess`` and
-      ``loewe_index``, each with ``..._low`` and ``..._high``, and ``extrapolated``; see
-      :func:`multicell.calibration.dose_response.curve.combine_drugs`
-    - ``totals``: mean ``bliss_excess`` and geometric mean ``loewe_index``
-    - ``notes``: what the reader must know
-    """
+    """Numbers and tables of a dose response; fields: :class:`multicell.DoseResponse`."""
 
     title: str
     curves: tuple[DoseCurve, ...]

@@ -77,18 +77,7 @@ class Best:
 
 @dataclass(frozen=True, eq=False)
 class FitNumbers:
-    """Numbers of a fit, without pages and pictures.
-
-    - ``problem``: data, ranges and what simulates
-    - ``scene``: what was fitted
-    - ``evaluations``: all parameters that the search tried
-    - ``folder``: of the results, or None
-    - ``facts``: how the fit was made: numbers of runs, seconds
-    - ``fresh``: what runs with fresh seeds have shown at the best point and at draws from the
-      intervals
-    - ``readings``: what each run of the search and each fresh one has in place of its data, by
-      place in the ranges, condition and seed; :attr:`runs` is a table of them
-    """
+    """Numbers of a fit, without pages and pictures; fields: :class:`multicell.Fit`."""
 
     problem: FitProblem
     scene: Scene
