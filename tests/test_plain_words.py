@@ -27,7 +27,9 @@ DIALECT = {
     r"\b(is|are) answered with\b": "gives",
     r"\b(can|could) be told\b": "is distinguishable",
 }
-QUESTION = re.compile(r"\bwhat (\w+ )?\w+ (do|does|makes?|finds?|has|have|holds?|means?)\b", re.I)
+QUESTION = re.compile(
+    r"\bwhat (\w+ )?\w+ (do|does|makes?|finds?|has|have|holds?|means?|costs?)\b", re.I
+)
 """A question in place of a noun."""
 # from Python 3.12 on the text of an f-string is a token of its own
 TEXTS = {tokenize.COMMENT, tokenize.STRING, getattr(tokenize, "FSTRING_MIDDLE", tokenize.STRING)}
