@@ -17,7 +17,7 @@ from multicell.vectors import cubes
 IntArray = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Signals = Mapping[str, FloatArray]
-"""What cells find: fields in mM, and other signals, by their names: name -> (n,)."""
+"""Signals at the cells by name, (n,) each: fields in mM, and others."""
 
 SPHERE = 4.0 * np.pi / 3.0
 """Volume of a sphere of unit radius."""

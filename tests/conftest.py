@@ -42,7 +42,12 @@ def pytest_addoption(parser):
     )
 
 
-def pytest_collection_modifyitems(items):
+def pytest_collection_modifyitems(config, items):
+    # here and not by an option -m, in whose place the user's would stand
+    if "benchmark" not in config.option.markexpr:
+        timed = [item for item in items if item.get_closest_marker("benchmark")]
+        config.hook.pytest_deselected(items=timed)
+        items[:] = [item for item in items if item not in timed]
     order = {name: place for place, name in enumerate(ROOMS)}
     items.sort(key=lambda item: order.get(item.path.parent.name, len(ROOMS)))
 

@@ -48,7 +48,7 @@ _RATES: Final = ("apoptosis rate", "damage rate")
 
 
 Level = Callable[["Signals", "Cells | None", "FloatArray | None"], Any]
-"""What returns a signal, (n,), from what cells find, the cells and their pressure."""
+"""Function that returns a signal, (n,), from fields, the cells and their pressure."""
 
 
 @final

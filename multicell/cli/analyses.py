@@ -124,9 +124,9 @@ def dose_response_command(
 ) -> None:
     """Find the dose at which half of the cells of a SCENE are left, and what two drugs do together.
 
-    Every number has its 95 % interval. What lies outside the doses tested is said to, never
+    Every number has its 95 % interval. Values outside the doses tested are reported as such, never
     extrapolated. An analysis that was stopped continues with the same command; more doses or
-    --seeds take the runs that are there.
+    --seeds reuse the existing runs.
     """
     if (scene is None) == (data is None):
         raise click.UsageError("Give a SCENE with --dose, or measured --data.")

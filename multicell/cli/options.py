@@ -155,12 +155,12 @@ loaded_law_option = click.option(
     "several times.",
 )
 section_option = click.option(
-    "--section", "plane", metavar="PLANE", help="The plane that is cut: x, y, z, x=0 or z='12 um'."
+    "--section", "plane", metavar="PLANE", help="Plane of the section: x, y, z, x=0 or z='12 um'."
 )
 cut_option = click.option(
     "--cut",
     type=click.Choice(("none", "half", "quarter")),
-    help="What is cut away of the cells in space.  [default: quarter]",
+    help="Part of the cells in space that is cut away.  [default: quarter]",
 )
 
 
@@ -203,7 +203,7 @@ no_report_option = click.option(
 columns_option = click.option(
     "--columns",
     metavar="NAMES",
-    help="What the columns of a table are, as 'x=POSITION_X um, radius=R um, type=class', or a "
+    help="Meaning of the columns of a table, as 'x=POSITION_X um, radius=R um, type=class', or a "
     "TOML file with such a table.",
 )
 
@@ -211,7 +211,7 @@ columns_option = click.option(
 where_option = click.option(
     "--where",
     metavar="VALUES",
-    help="Rows of the data that are meant, as 'CellLine=983b, InitialCondition=5000, Day=3..7'.",
+    help="Rows of the data to use, as 'CellLine=983b, InitialCondition=5000, Day=3..7'.",
 )
 
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 def play(scene: Scene, keys: Sequence[str], port: int, no_browser: bool) -> None:
     """Open a page with sliders for keys of a SCENE, and the view of a run beside them.
 
-    The scene as it is runs at once. Each move of a slider begins another run in the background,
+    The unchanged scene runs at once. Each move of a slider begins another run in the background,
     with coarse cells where the scene allows that. The page is served to this machine alone, at an
     address with a secret; Ctrl-C ends all of it.
     """

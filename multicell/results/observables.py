@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def settle_gel(cells: Cells, walls: Walls | Sphere, compression: TissueCompression | None) -> float:
-    """Let a gel give way to the cells; return what compressed tissue adds to its pressure, kPa.
+    """Deform a gel by the cells; return the pressure that compressed tissue adds to it, kPa.
 
     Sisters that have just parted count with their whole overlap.
     """

@@ -190,7 +190,8 @@ class Growth:
         "S, G2 and M; absent: no such observable",
     )
     restriction: bool = flag(
-        default=True, doc="with phases: cells rest only at the end of G1 (in G0), not anywhere"
+        default=True,
+        doc="with phases: cells become quiescent only at the end of G1 (in G0)",
     )
     hypertrophy: bool = flag(
         default=True,
@@ -543,7 +544,7 @@ class Domain:
     """A box that stands still: fields live on it, and its sides are elastic walls for the cells.
 
     Absent, a field's grid is laid round the cells anew in every step. So it is in a sphere, a wall
-    about the origin that fields pass; with a stiffness it is the cavity of a gel that gives way.
+    about the origin that fields pass; with a stiffness it is the cavity of an elastic gel.
     """
 
     shape: str = choice(["box", "sphere"], default="box", doc="sphere: a wall for cells alone")
@@ -554,7 +555,7 @@ class Domain:
         doc="of the sphere; of the cavity of a gel, where it is at rest",
     )
     stiffness: float | None = _stiffness(
-        doc="Young's modulus of an elastic gel round the sphere; absent: it stays as wide as it is",
+        doc="Young's modulus of an elastic gel round the sphere; absent: the wall is rigid",
     )
     x: tuple[float, float] | None = span(doc="from side x- to side x+")
     y: tuple[float, float] | None = span(doc="from side y- to side y+")

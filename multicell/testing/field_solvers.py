@@ -70,7 +70,7 @@ class FieldSolverTests:
 def check_field_solver(
     solver: str, *, steady: bool = False, accuracy: float = 5e-3, **options: Any
 ) -> None:
-    """Raise ``AssertionError``, with all that is wrong, unless a solver keeps its promises.
+    """Check a solver; raise ``AssertionError`` with every requirement that it violates.
 
     In a ball of shells, of which the rates of :class:`multicell.FieldEquation` are known:
 

@@ -16,7 +16,7 @@ _GROWTH_ROUNDING = 1e-9
 
 
 def check_growth_law(law: GrowthLaw) -> None:
-    """Raise ``AssertionError``, with all that is wrong, unless a growth law keeps its promises.
+    """Check a growth law; raise ``AssertionError`` with every requirement that it violates.
 
     For volumes from birth to division and shares of a cycle up to 1:
 

@@ -31,7 +31,7 @@ _ROUNDING = 1e-11  # µm, below which an error is none
 
 
 def check_integrator(method: Any) -> None:
-    """Raise ``AssertionError``, with all that is wrong, unless a method keeps its promises.
+    """Check a method; raise ``AssertionError`` with every requirement that it violates.
 
     Four elastic spheres that touch and grow are followed for 80 s, a smooth problem that depends
     on time, and compared with SciPy's DOP853:

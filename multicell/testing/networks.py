@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 def check_network(
     network: Network, *, invariants: Iterable[Mapping[str, float]] = (), duration: float = 1.0
 ) -> None:
-    """Raise ``AssertionError``, with what is wrong, unless a network keeps its promises.
+    """Check a network; raise ``AssertionError`` with every requirement that it violates.
 
     At its start and at states around it, and over a time from there:
 

@@ -37,7 +37,7 @@ BARE: Mapping[str, Any] = {
 
 
 def check_observable(observable: Observable, scene: Scene | None = None) -> None:
-    """Raise ``AssertionError``, with all that is wrong, unless an observable keeps its promises.
+    """Check an observable; raise ``AssertionError`` with every requirement that it violates.
 
     In a scene at its start and after two coupling steps, with a single cell, without cells and
     with dead cells only, and in a scene without any optional part unless it ``needs`` one:

@@ -22,7 +22,7 @@ _SLOPE = 1e-5
 
 
 def check_pair_law(law: PairLaw) -> None:
-    """Raise ``AssertionError``, with all that is wrong, unless a pair law keeps its promises.
+    """Check a pair law; raise ``AssertionError`` with every requirement that it violates.
 
     Pairs of three sizes and three moduli are taken through overlaps from beyond the reach to
     nine tenths of a radius:

@@ -8,7 +8,7 @@ import numpy as np
 
 
 def check_reaction(reaction: Any) -> None:
-    """Raise ``AssertionError``, with what is wrong, unless a reaction keeps its promises.
+    """Check a reaction; raise ``AssertionError`` with every requirement that it violates.
 
     At points over six decades of concentrations up to its ``upto``, and where one of its fields or
     all are absent:

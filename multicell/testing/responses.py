@@ -12,7 +12,7 @@ from multicell.testing.promises import carry_out_checks, require
 
 
 def check_response(law: ResponseLaw) -> None:
-    """Raise ``AssertionError``, with all that is wrong, unless a response keeps its promises.
+    """Check a response; raise ``AssertionError`` with every requirement that it violates.
 
     For signals that rise from 0 to 10:
 

@@ -16,7 +16,13 @@ RESPONSES = {
 
 
 class TestPairLaws(PairLawTests):
-    @pytest.fixture(params=SAMPLES)
+    # each law compiles all kernels: one is enough where time is short
+    @pytest.fixture(
+        params=[
+            pytest.param(name, marks=() if name == "hertz" else pytest.mark.slow)
+            for name in SAMPLES
+        ]
+    )
     def law(self, request):
         return SAMPLES[request.param]
 

@@ -26,7 +26,7 @@ _TINY = 1e-12  # mM, below which a difference quotient takes no shorter steps
 
 
 class Cell(NamedTuple):
-    """A place where a reaction goes on: a cell of the grid."""
+    """A place where a reaction proceeds: a cell of the grid."""
 
     tissue: float
     """Part of it that is tissue, 0 to 1."""

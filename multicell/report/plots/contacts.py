@@ -104,9 +104,9 @@ def pull(frames: Sequence[Frame], history: style.History, scene: Scene) -> Figur
     progress = frames[-1].progress
     if broken and progress is not None and progress.separation is not None:
         top = progress.separation["force"]  # of its own time within the step
-    told = f"the last contact broke at {top:.4g} nN" if broken else "not pulled apart"
+    outcome = f"the last contact broke at {top:.4g} nN" if broken else "not pulled apart"
     end = float(time[-1])
-    figure = style.headed(scene, f"After {time_unit(end).text(end)}: {told}")
+    figure = style.headed(scene, f"After {time_unit(end).text(end)}: {outcome}")
     axes = figure.add_axes((0.09, 0.12, 0.87, 0.63))
     axes.set_ylabel("force (nN)")
     two = len(frames[0].cells) == 2 and scene.growth is None
