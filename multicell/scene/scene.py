@@ -323,7 +323,7 @@ def scene_names() -> list[str]:
 
 
 def _toml_hint(content: str, error: ValueError) -> str:
-    """Return what to do about a text that is not TOML; nothing where its message says that."""
+    """Return advice about a text that is not TOML; empty where the message needs none."""
     if bare := _BARE.search(content):
         return f"A value with a unit stands in quotes: '{bare[1]}'."
     if content.lstrip().startswith("{"):

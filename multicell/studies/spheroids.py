@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from multicell.studies.status import RunStatus
 
 MOST_SHOWN: Final = 24  # tissues of one picture; of more points those evenly between
-_COLUMNS: Final = 4
+_COLUMNS: Final = 4  # tissues in a row at most
 _MOST_LETTERS: Final = 31  # of a line above a tissue, where four stand side by side
 _MOST_NAMED: Final = 3  # axes whose values stand above a tissue
 

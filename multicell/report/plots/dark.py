@@ -49,7 +49,7 @@ def contrast(colour: Any, other: Any = CARD) -> float:
 
 
 def in_dark(colour: Any, least: float = _LEAST) -> Rgba:
-    """Return what a colour becomes on a dark card, as red, green, blue and opacity.
+    """Return the red, green, blue and opacity of a colour on a dark card.
 
     States and types stay. Ink and paper change places, and so do the greys between them. What is
     too dark to be seen then is mixed with white until it is not.
@@ -128,5 +128,5 @@ def _recolour(artist: Artist) -> None:
 
 
 def _all(colours: Any) -> list[Rgba] | str:
-    """Return what many colours become; ``"none"`` of none."""
+    """Return many colours on a dark card; ``"none"`` of none."""
     return [in_dark(one) for one in np.atleast_2d(colours)] if len(colours) else "none"
