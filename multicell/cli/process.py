@@ -233,6 +233,8 @@ def _with_hint(error: click.ClickException) -> click.ClickException:
         said = error.message
         for pattern, words in _NUMBERS.items():
             said = re.sub(pattern, words, said)
+        if said == error.message:  # such as an option that is missing, which is another kind
+            return error
         return click.BadParameter(said, error.ctx, error.param, error.param_hint)
     found = re.search(r"unexpected extra arguments? \((.*)\)", error.message)
     if found is None or not isinstance(error, click.UsageError):
