@@ -211,6 +211,11 @@ def unit_factor(text: str, unit: str) -> float | None:
     return float(found[1] / wanted[1])
 
 
+def is_unit(text: str) -> bool:
+    """Return whether a text is a unit, of any kind."""
+    return _read(text) is not None
+
+
 def unit_hint(text: str, unit: str) -> str:
     """Return units that may be meant by a text of another kind than ``unit``; may be empty."""
     names = [name for name, _ in _factors(text) or ()]

@@ -74,6 +74,25 @@ def _memory():
         return 8 * 2**30
 
 
+@pytest.fixture(scope="session", autouse=True)
+def letters_of_pages():
+    """Check every picture that any test puts into a page: its letters can be read there."""
+    from letters import SMALLEST, smallest_letters
+
+    from multicell.report.plots import style
+
+    inline = style.inline_picture
+
+    def checked(figure):
+        size, text = smallest_letters(figure)
+        assert size >= SMALLEST, f"{text!r} has {size:.2f} pt at the width of its page"
+        return inline(figure)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(style, "inline_picture", checked)
+        yield
+
+
 @pytest.fixture(scope="session")
 def forks():
     from forks import Forks

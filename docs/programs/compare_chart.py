@@ -41,7 +41,7 @@ def remove_times(figure: Figure) -> None:
     counts.set_aspect("auto")
     counts.set_position((first.x0, own.y0, own.x1 - first.x0, own.height))
     counts.tick_params(labelleft=True)
-    counts.set_ylabel("error")
+    counts.set_ylabel(times.get_ylabel(), fontsize=10)
 
 
 def main() -> None:

@@ -33,7 +33,7 @@ from tornado.web import Application, HTTPError, RequestHandler
 from multicell.errors import MulticellError, OutputError
 from multicell.report.html import rendered, script
 from multicell.report.result import Result, load_result
-from multicell.report.wording import cell_count, time_unit
+from multicell.report.wording import cell_count, time_unit, written
 from multicell.scene.coarsening import coarsen
 from multicell.schema import leaves
 
@@ -101,7 +101,7 @@ class Playground:
                     "high": item.high / factor,
                     "log": item.log,
                     "whole": item.whole,
-                    "unit": unit,
+                    "unit": written(unit),
                     "place": place,
                 }
             )
@@ -124,7 +124,7 @@ class Playground:
 
     def _label(self, item: Range, value: float) -> str:
         unit, factor = self._unit(item)
-        return f"{value / factor:.3g} {unit}".strip()
+        return f"{value / factor:.3g} {written(unit)}".strip()
 
     def begin(self) -> int:
         """Begin a run of the scene as it is; return its number."""
@@ -219,8 +219,9 @@ class Playground:
         part = last.time / self._duration
         return {**known, "frames": len(result.frames), "part": part, "text": " · ".join(words)}
 
-    def curves(self) -> bytes:
-        """Return the curves of all kept runs as a PNG."""
+    def curves(self, dark: bool = False) -> bytes:
+        """Return the curves of all kept runs as a PNG, in the colours of light or dark mode."""
+        from multicell.report.plots.dark import darken
         from multicell.report.plots.growth import overlay
 
         found = {label: self.result(number) for number, label in self._labels.items()}
@@ -228,7 +229,10 @@ class Playground:
         if not shown:
             raise OutputError("there is no run yet")
         picture = io.BytesIO()
-        overlay(shown, "diameter").savefig(picture, dpi=130)
+        figure = overlay(shown, "diameter")
+        if dark:
+            darken(figure)
+        figure.savefig(picture, dpi=130)
         return picture.getvalue()
 
     def page(self) -> str:
@@ -306,9 +310,10 @@ class _Handler(RequestHandler):
     def get(self, what: str) -> None:
         if what == "curves":
             self.set_header("Content-Type", "image/png")
+        dark = {"dark": True} if what == "curves" and self.get_query_argument("dark", "") else {}
         answers = {"": "page", "view": "view", "curves": "curves", "run": "status"}
         try:
-            answer = getattr(self.playground, answers[what])()
+            answer = getattr(self.playground, answers[what])(**dark)
         except OutputError:  # there is nothing to see yet
             raise HTTPError(404) from None
         self.finish(answer)

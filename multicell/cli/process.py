@@ -16,7 +16,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from importlib import import_module
-from typing import IO, Any, NoReturn, final
+from typing import IO, Any, Final, NoReturn, final
 
 import click
 
@@ -47,6 +47,13 @@ def print_file(path: object, as_json: bool) -> None:
         click.echo(path)
 
 
+_NUMBERS: Final = {
+    r"is not a valid integer( range)?": "must be a whole number",
+    r"is not a valid float( range)?": "must be a number",
+    r"is not in the range x>=(\S+)\.": r"must be at least \1.",
+    r"is not in the range (\S+)<=x<=(\S+)\.": r"must be from \1 to \2.",
+}
+"""What click says of a number -> what is said here."""
 DEBUG = "MULTICELL_DEBUG"  # environment variable that shows the traceback of an unexpected error
 
 
@@ -95,6 +102,16 @@ class Commands(click.Group):
             module, function = self._elsewhere[cmd_name].split(":")
             self.add_command(getattr(import_module(f"multicell.cli.{module}"), function))
         return super().get_command(ctx, cmd_name)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the command that is asked for; refuse ``help`` and ``version`` with the option."""
+        name, rest = args[0], " ".join([*args[1:2], "--help"])
+        if self.get_command(ctx, name) is None and name in ("help", "version"):
+            option = "--version" if name == "version" else rest
+            raise click.UsageError(f"No such command {name!r}: multicell {option}.", ctx)
+        return super().resolve_command(ctx, args)
 
     def main(
         self,
@@ -212,11 +229,27 @@ def _with_hint(error: click.ClickException) -> click.ClickException:
     """Return a complaint about a further argument with what that was most likely meant to be."""
     if isinstance(error, click.NoSuchOption):
         return _with_key(error)
+    if isinstance(error, click.BadParameter):
+        said = error.message
+        for pattern, words in _NUMBERS.items():
+            said = re.sub(pattern, words, said)
+        if said == error.message:  # such as an option that is missing, which is another kind
+            return error
+        return click.BadParameter(said, error.ctx, error.param, error.param_hint)
     found = re.search(r"unexpected extra arguments? \((.*)\)", error.message)
     if found is None or not isinstance(error, click.UsageError):
         return error
     option = next((text for text in reversed(sys.argv) if text.startswith("--")), "--set")
+    known = [name for entry in error.ctx.command.params for name in entry.opts] if error.ctx else []
+    short = [text for text in sys.argv if re.fullmatch(r"-[a-z]{2,}", text)]
+    long = [name for text in short for name in known if name.startswith(f"-{text}")]
+    first = found[1].split()[0]
+    place = sys.argv.index(first) if first in sys.argv else 0
     hint = f"a value with a space stands in quotes, as '… {found[1]}'"
+    if long:
+        hint = f"an option of several letters has two hyphens: {long[0]}"
+    elif place < 2 or not sys.argv[place - 2].startswith("-"):
+        return error  # what stands before it is no value of an option
     if "=" in found[1]:
         each = " ".join(f"{option} {text}" for text in found[1].split())
         hint = f"each KEY=VALUE has an option of its own: {each}"

@@ -98,7 +98,9 @@ def _error_words(result: SolveTable, norm: str) -> str:
     measure = result.measures()[norm]
     words = _DISTANCES.get(measure.quantity, measure.quantity)
     over = f" / {measure.scale}" if measure.scale else ""
-    return "\n".join(textwrap.wrap(f"error: {words}{over}", 36))
+    label = f"error: {words}{over}"
+    lines = -(-len(label) // 36)
+    return "\n".join(textwrap.wrap(label, len(label) // lines + 6))  # of about one length
 
 
 def _costs(result: SolveTable, norm: str, cost: str) -> list[float]:

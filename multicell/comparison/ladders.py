@@ -92,8 +92,13 @@ def find_method(method: Any, scene: Scene, radius: float) -> Method:
     return Method(info.name, "tolerance", by_tolerance, info)
 
 
-def select_methods(methods: Sequence[Any], scene: Scene, radius: float) -> list[Method]:
-    """Return some methods, of which no two may have one name (see :func:`find_method`)."""
+def select_methods(methods: Sequence[Any] | str, scene: Scene, radius: float) -> list[Method]:
+    """Return some methods, of which no two may have one name (see :func:`find_method`).
+
+    A text has their names with commas between them.
+    """
+    if isinstance(methods, str):  # as the command line has them
+        methods = [name.strip() for name in methods.split(",") if name.strip()]
     found = [find_method(method, scene, radius) for method in methods]
     if not found:
         raise ValueError("methods is empty: there is nothing to compare")

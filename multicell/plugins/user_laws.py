@@ -14,6 +14,7 @@ from multicell.plugins.laws import Laws, OwnLaw
 from multicell.plugins.named import load_object
 from multicell.schema import number, quantity
 from multicell.schema import parameters as declare
+from multicell.units import is_unit
 
 
 def load_law(spec: str) -> type[OwnLaw]:
@@ -53,7 +54,7 @@ def law_of(
     - ``laws``: where it is entered
     - ``read``: the functions that its fingerprint is of
     """
-    declared = {name: _declaration(entry) for name, entry in parameters.items()}
+    declared = {name: _declaration(name, entry) for name, entry in parameters.items()}
     source = f"{os.path.basename(function.__code__.co_filename)}:{function.__qualname__}"
     mark = _mark_of(read, declared)
     if f"{source}@{mark}" in laws:
@@ -82,8 +83,11 @@ def _mark_of(functions: Sequence[Any], declared: Mapping[str, Any]) -> str:
     return given.hexdigest()[:12]
 
 
-def _declaration(entry: Any) -> Any:
+def _declaration(name: str, entry: Any) -> Any:
     """Return the declaration of a parameter that is given by its unit."""
     if not isinstance(entry, str):
         return entry
+    if entry and not is_unit(entry):
+        hint = "Write for example 'nN/um', 'kPa', 'um', 's', or '' for a plain number."
+        raise SceneError(f"parameters.{name}", f"has the unknown unit {entry!r}", hint)
     return quantity(entry) if entry else number()

@@ -324,6 +324,23 @@ def scene_names() -> list[str]:
     return sorted(name.removesuffix(".toml") for name in found if name.endswith(".toml"))
 
 
+def _toml_hint(content: str, error: ValueError) -> str:
+    """Return advice about a text that is not TOML; empty where the message needs none."""
+    if bare := _BARE.search(content):
+        return f"A value with a unit stands in quotes: '{bare[1]}'."
+    if content.lstrip().startswith("{"):
+        return "A scene is TOML, not JSON: duration = '1 d'."
+    found = re.search(r"\(at line (\d+), column \d+\)", str(error))
+    lines = content.splitlines()
+    number = int(found[1]) if found else 0
+    line = lines[number - 1].strip() if 0 < number <= len(lines) else ""
+    if "Cannot overwrite" in str(error):
+        return f"The key of {line!r} stands there twice."
+    if "Illegal character '\\n'" in str(error):
+        return f"A text ends with its quote on the same line: {line!r}."
+    return "No comma stands at the end of a line." if line.endswith(",") else ""
+
+
 def load_scene(source: str | Path) -> Scene:
     """Return a built-in scene or one that is read from a TOML file.
 
@@ -343,9 +360,8 @@ def load_scene(source: str | Path) -> Scene:
     try:
         entries = parse_toml(content)
     except ValueError as error:  # also integers of thousands of digits
-        bare = _BARE.search(content)
-        hint = f"A value with a unit stands in quotes: '{bare[1]}'." if bare else ""
-        raise SceneError("", f"{str(source)!r} is not valid TOML: {error}", hint) from None
+        problem = f"{str(source)!r} is not valid TOML: {error}"
+        raise SceneError("", problem, _toml_hint(content, error)) from None
     scene = Scene.from_dict(place_files(entries, source))
     if not content.startswith(_WRITTEN):  # whose numbers are those of its author
         note_written(scene, entries, typed=True)
@@ -394,6 +410,8 @@ def scene_text(source: str | Path) -> str:
         raise SceneError("", f"{shown(source)} is no name and no path of a scene")
     if isinstance(source, str) and source in (names := scene_names()):
         return (files("multicell.scenes") / f"{source}.toml").read_text(encoding="utf-8")
+    if not str(source):
+        raise SceneError("", "a scene without a name", f"For example {scene_names()[0]!r}.")
     path = Path(os.path.expanduser(source))
     bare = isinstance(source, str) and not path.suffix and path.name == source
     try:

@@ -79,7 +79,10 @@ def read_points(given: object, path: str, wanted: str, example: str) -> list[tup
     """Return the points that a list of two-element lists gives, or raise ``SceneError``."""
     points = list(given) if isinstance(given, list | tuple) else []
     if not points or not all(isinstance(p, list | tuple) and len(p) == 2 for p in points):
-        raise SceneError(path, f"is {shown(given)}, must be {wanted}", f"For example {example}.")
+        wrong = [p for p in points if not isinstance(p, list | tuple) or len(p) != 2]
+        several = len(points) > 1 and len(wrong) > 0
+        what = f"has the entry {str(wrong[0])[:40]}" if several else f"is {shown(given)}"
+        raise SceneError(path, f"{what}, must be {wanted}", f"For example {example}.")
     return [(a, b) for a, b in points]
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import MISSING, FrozenInstanceError, dataclass, fields
 from itertools import pairwise
 from numbers import Integral
-from typing import Any, NamedTuple, NoReturn, TypeVar, dataclass_transform, final
+from typing import Any, Final, NamedTuple, NoReturn, TypeVar, dataclass_transform, final
 
 from multicell.errors import SceneError
 from multicell.schema.bounds import Bounds, Curve, in_time, lists, read_points, reader
@@ -24,6 +25,7 @@ from multicell.schema.part import (
 )
 from multicell.units import finite, shown
 
+_THOUSANDS: Final = {"": 1, "k": 1000, "m": 1_000_000}  # of letters after a number
 T = TypeVar("T")
 
 
@@ -91,6 +93,15 @@ def number(*, default: Any = MISSING, doc: str = "", hint: str = "", **ends: flo
     return declare("number", read, default, allowed=bounds.words(), doc=doc, bounds=bounds)
 
 
+def _whole(value: object) -> int | None:
+    """Return the whole number that was meant by ``1e3``, ``"1,000"`` or ``"10k"``; None if none."""
+    if isinstance(value, float) and value.is_integer():
+        return int(value)
+    text = str(value).strip().lower() if isinstance(value, str) else ""
+    found = re.fullmatch(r"(\d+|\d{1,3}(?:[, _]\d{3})+)\s*([km]?)", text)
+    return int(re.sub(r"\D", "", found[1])) * _THOUSANDS[found[2]] if found else None
+
+
 def count(
     *,
     default: Any = MISSING,
@@ -104,7 +115,9 @@ def count(
 
     def convert(value: object, path: str) -> int:
         if isinstance(value, bool) or not isinstance(value, Integral):
-            raise SceneError(path, f"is {shown(value)}, must be a whole number", hint)
+            meant = _whole(value)
+            asked = hint if meant is None else f"Write {meant}."
+            raise SceneError(path, f"is {shown(value)}, must be a whole number", asked)
         bounds.require(int(value), value, path, "", hint)
         return int(value)
 

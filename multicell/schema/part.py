@@ -246,7 +246,8 @@ def read_named(value: object, path: str, one: Callable[[Any, str], V]) -> Tables
 def mapping(value: object, path: str, hint: str = "") -> dict[str, Any]:
     """Return a copy of a table, or raise ``SceneError``."""
     if not isinstance(value, Mapping):
-        raise SceneError(path, f"is {shown(value)}, must be a table", hint)
+        asked = hint or "Its entries have names: NAME = VALUE, a line for each."
+        raise SceneError(path, f"is {shown(value)}, must be a table", asked)
     if not all(isinstance(key, str) for key in value):
         raise SceneError(path, "has keys that are not text, must be a table")
     return dict(value)

@@ -204,6 +204,10 @@ def _listed(key: Key, text: str) -> list[Any]:
         except ValueError as error:
             problem = f"has values that are not valid TOML: {shown(text)}"
             raise SceneError(key.name, problem, str(error)) from None
+    if re.search(r"\d *\.\. *\d", text) and is_numeric(key):
+        problem = f"is {shown(text)}, which is a range"
+        hint = f"List the values: {_example(key)}, or write 'low:high:count unit'."
+        raise SceneError(key.name, problem, hint)
     items = [item.strip() for item in text.split(",")] if text else []
     if not all(items):
         problem = f"has an empty value in {shown(text)}"

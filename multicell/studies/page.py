@@ -15,6 +15,7 @@ from multicell.report.wording import clock, time_unit
 from multicell.studies import picture_data as of
 from multicell.studies.pictures import StudyPlots
 from multicell.studies.readings import USUAL
+from multicell.studies.spheroids import last_tissues, spheroids
 from multicell.studies.status import STATES
 
 if TYPE_CHECKING:
@@ -63,7 +64,9 @@ def write_study_report(
         title=title,
         subtitle=_subtitle(table),
         tiles=_tiles(table, states),
-        pictures=_drawings(table, title, names) | compared_drawing(best),
+        pictures=_tissues(Path(folder), table, title, runs, states)
+        | _drawings(table, title, names)
+        | compared_drawing(best),
         compared=best,
         points=[point.row() for point in points[:_POINTS]],
         unfinished=_unfinished(states),
@@ -86,24 +89,59 @@ def key_observables(table: xr.Dataset) -> list[str]:
 
 
 def _drawings(table: xr.Dataset, title: str, names: Sequence[str]) -> dict[str, Drawing]:
-    """Return the pictures: maps of a grid or responses, then curves over time."""
+    """Return the pictures: maps of a grid or responses, then curves over time.
+
+    Each has a caption of its own.
+    """
     plots = StudyPlots(table, title)
     axes = of.axes_of(table)
     several = table.sizes[of.SEED] > 1
     draw: Callable[[str], Figure] = plots.response
-    kind, caption = "response", "One panel for each axis."
+    over = _listed([of.axis_scale(table, name).words for name in axes])
+    kind, words = "response", f"at the end of each run over {over}: dots are single runs"
+    words += ", bars one standard deviation over the seeds" if several else " of the only seed"
     if not of.is_list(table) and len(axes) > 1:
         scatter = "mean ± standard deviation over the seeds" if several else "of the only seed"
         draw, kind = plots.heatmap, "map"
-        caption = f"One tile for each pair of values: {scatter}."
-    ends = names[:_MAPS] if axes else ()
-    found: dict[str, Drawing] = {f"{kind}-{n}.png": (partial(draw, n), caption) for n in ends}
+        words = f"at the end of each run, one tile for each pair of values of {over}: {scatter}"
+    found: dict[str, Drawing] = {
+        f"{kind}-{name}.png": (partial(draw, name), f"{of.sentence(of.words(name))} {words}.")
+        for name in (names[:_MAPS] if axes else ())
+    }
     bands = "with bands of one standard deviation over the seeds" if several else "of the only seed"
-    caption = f"One panel for each axis, {bands}."
+    panels = f", one panel for each of {over}" if len(axes) > 1 else f", by {over}" if axes else ""
     courses = [name for name in names if of.TIME in table[name].dims and table.sizes[of.TIME] > 1]
     return found | {
-        f"curves-{name}.png": (partial(plots.curves, name), caption) for name in courses[:_COURSES]
+        f"curves-{name}.png": (
+            partial(plots.curves, name),
+            f"{of.sentence(of.words(name))} over time{panels}, {bands}.",
+        )
+        for name in courses[:_COURSES]
     }
+
+
+def _tissues(
+    folder: Path,
+    table: xr.Dataset,
+    title: str,
+    runs: Sequence[StudyRun],
+    states: Sequence[RunStatus],
+) -> dict[str, Drawing]:
+    """Return the picture of all tissues; none where no run is done."""
+    tissues = last_tissues(folder, runs, states)
+    if not tissues:
+        return {}
+    points = len(runs) // table.sizes[of.SEED]
+    flat = tissues[0][0].scene.dimensions == 2
+    what = "The tissue" if flat else "A section through the centre of the tissue"
+    seeds = " of the first seed that is done" if table.sizes[of.SEED] > 1 else ""
+    caption = f"{what} at the end of each run{seeds}, on one scale."
+    return {"tissues.png": (partial(spheroids, table, title, tissues, points), caption)}
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return names as a list in words."""
+    return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
 
 
 def _subtitle(table: xr.Dataset) -> str:

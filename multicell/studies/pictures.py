@@ -27,8 +27,10 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
 
 _COLOURS: Final = ListedColormap(mpl.colormaps["viridis"](np.linspace(0.0, 0.88, 256)))
-_MIN_FONT: Final = 6.5  # points; smaller numbers cannot be read
+_MIN_FONT: Final = 6.7  # points: 7 at the width of a page; smaller numbers cannot be read
 _EMPTY, _FAILED = "#eceff2", "#f6dfd9"
+_MAX_TICKS: Final = 8  # ticks at the values that ran; more are at round numbers
+_TICK_ROOM: Final = 0.1  # least distance of such ticks, as a part of the axis
 _MAX_NAMED: Final = 8  # curves with a name each; more share a scale of colours
 _MAX_CURVES: Final = 200  # of a list; more would hide each other, and take a minute
 _LOG_RATIO: Final = 20.0  # of largest to smallest value from which curves are on a logarithmic axis
@@ -417,9 +419,22 @@ def _draw_response(
     if words:
         axes.set_xticks(range(len(shown.texts)), shown.texts)
         axes.set_xlim(-0.6, len(shown.texts) - 0.4)
+        return
+    if shown.log:
+        axes.set_xscale("log")
+    assert shown.numbers is not None
+    if _readable(shown.numbers, shown.log):
+        axes.set_xticks(shown.numbers, shown.texts)
+        axes.minorticks_off()
     elif not shown.log:
         axes.xaxis.set_major_locator(MaxNLocator(5))
     else:
-        axes.set_xscale("log")
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
         _write_plainly(axes.xaxis, of.number_text)
+
+
+def _readable(numbers: FloatArray, log: bool) -> bool:
+    """Return whether ticks at all values leave room for their labels."""
+    places = np.sort(np.log(numbers) if log else numbers)
+    apart = np.diff(places)
+    return len(places) <= _MAX_TICKS and bool((apart >= _TICK_ROOM * np.ptp(places)).all())

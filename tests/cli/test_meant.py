@@ -5,6 +5,7 @@ import sys
 import pytest
 from click.testing import CliRunner
 
+import multicell as mc
 from multicell.cli.main import _ELSEWHERE, _TASKS, main
 from multicell.cli.options import known_methods, known_scenes
 from multicell.cli.process import _with_hint
@@ -94,6 +95,17 @@ def test_a_law_that_cannot_be_used_is_named_with_what_is_wrong(law, words, tmp_p
         (["compare", "settle", "--methods", "explicit", "-o", "x"], "The explicit ones are auto"),
         (["compare", "settle", "--methods", "implicit", "-o", "x"], "The implicit ones are cvode"),
         (["explain", "settle", "--jason"], "--json"),
+        (["help", "run"], "No such command 'help': multicell run --help"),
+        (["version"], "No such command 'version': multicell --version"),
+        (["run", "settle", "-out", "x"], "two hyphens: --output"),
+        (["run", "settle", "-o", "x", "--seed", "abc"], "'abc' must be a whole number"),
+        (["run", "settle", "-o", "x", "--threads", "0"], "0 must be at least 1"),
+        (["play", "settle", "--port", "70000"], "70000 must be from 0 to 65535"),
+        (["explain", "settle", "--set", "initial.count=1e3"], "whole number. Write 1000"),
+        (["explain", "settle", "--set", "initial.count=1,000"], "whole number. Write 1000"),
+        (["explain", "settle", "--set", "initial.count=10k"], "whole number. Write 10000"),
+        (["study", "new", "growth", "-o", "x", "--vary", "growth.cycle_time=15..25 h"],
+         "which is a range. List the values"),
     ],
 )  # fmt: skip
 def test_the_message_says_what_was_meant(arguments, words, monkeypatch, tmp_path):
@@ -101,6 +113,44 @@ def test_the_message_says_what_was_meant(arguments, words, monkeypatch, tmp_path
     code, text = said(arguments, monkeypatch)
     assert code == 2
     assert words in text
+
+
+def test_two_scenes_are_not_taken_for_a_value_with_a_space(monkeypatch):
+    code, text = said(["run", "settle", "growth", "-o", "x"], monkeypatch)
+    assert (code, "(growth)" in text, "quotes" in text) == (2, True, False)
+    code, text = said(["run", "settle", "--set", "duration=5", "d", "-o", "x"], monkeypatch)
+    assert (code, "stands in quotes, as '… d'" in text) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('duration = "1 d"\nduration = "2 d"', "stands there twice"),
+        ('{"duration": "1 d"}', "A scene is TOML, not JSON"),
+        ('duration = "1 d', "ends with its quote on the same line: 'duration = \"1 d'"),
+        ('duration = "1 d",', "No comma stands at the end of a line"),
+        ('duration = "1 d"\n[growth]\nphases = ["G1"]', "Its entries have names: NAME = VALUE"),
+        (
+            'duration = "1 d"\n[nutrients.oxygen]\nmedia = [["1 d"], ["2 d", "1 mM"]]',
+            "has the entry ['1 d'], must be a list of [time, value]",
+        ),
+    ],
+)
+def test_slips_in_a_scene_file_are_named(text, words, tmp_path, monkeypatch):
+    (tmp_path / "mine.toml").write_text(text + "\n", "utf-8")
+    code, found = said(["explain", str(tmp_path / "mine.toml")], monkeypatch)
+    assert code == 2
+    assert words in found
+
+
+def test_slips_in_python_are_named():
+    with pytest.raises(mc.SceneError, match=r"no method is called 'eulr'\. Did you mean 'euler'"):
+        mc.compare("settle", "heun,eulr")
+    with pytest.raises(mc.SceneError, match="a scene without a name"):
+        mc.load_scene("")
+    law = mc.pair_law(parameters={"stiffness": "newton/um"})
+    with pytest.raises(mc.SceneError, match="unknown unit 'newton/um'"):
+        law(lambda overlap, modulus, radius, p: p.stiffness * overlap)
 
 
 def test_a_folder_in_the_place_of_a_scene_is_known_as_one(tmp_path, monkeypatch):

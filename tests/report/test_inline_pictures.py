@@ -2,15 +2,19 @@
 
 import base64
 import io
-import json
 import re
 from importlib.resources import files
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_rgb
+from letters import smallest_letters
+from matplotlib.colors import to_hex, to_rgb
 
-from multicell.report.plots.colour_vision import PALE, luminance
+from multicell.integrators.registry import METHODS
+from multicell.report.plots import style
+from multicell.report.plots.colour_vision import PALE
+from multicell.report.plots.dark import CARD, STAGE, contrast, darken, in_dark
+from multicell.report.plots.section import draw_discs, frame_window
 from multicell.report.plots.style import (
     BLUE,
     INK,
@@ -25,46 +29,93 @@ from multicell.report.plots.style import (
 
 STYLE = (files("multicell.report") / "templates" / "style.css").read_text()
 DARK = STYLE[STYLE.index("prefers-color-scheme:dark") :]
-CARD = np.array(to_rgb(re.search(r"--card:(#\w+)", DARK)[1]))
-BRIGHTNESS = float(re.search(r"invert\(1\) hue-rotate\(180deg\) brightness\((.*?)\)", DARK)[1])
-# hue-rotate by half a turn, as the specification of filters has it
-HUE = np.array([[-0.574, 1.43, 0.144], [0.426, 0.43, 0.144], [0.426, 1.43, -0.856]])
-
-
-def in_dark_mode(colour):
-    """Return what the style sheet makes of a picture's colour on a card: filter, then screen."""
-    filtered = np.clip(BRIGHTNESS * np.clip(HUE @ (1.0 - np.array(to_rgb(colour))), 0, 1), 0, 1)
-    return 1.0 - (1.0 - filtered) * (1.0 - CARD)
-
-
-def contrast(colour):
-    light, dark = sorted((luminance(in_dark_mode(colour)), luminance(CARD)), reverse=True)
-    return (light + 0.05) / (dark + 0.05)
 
 
 def test_white_becomes_the_card_and_pale_marks_stay_pale():
-    assert "mix-blend-mode:screen" in DARK
-    np.testing.assert_allclose(in_dark_mode("white"), CARD, atol=1e-12)
-    assert contrast(PALE) < 3.0
+    assert re.search(r"--card:(#\w+)", DARK)[1] == CARD
+    assert to_hex(in_dark("white")) == CARD
+    assert contrast(in_dark(PALE)) < 3.0
 
 
-@pytest.mark.parametrize("colour", [INK, QUIET, RED, "#000000", "#333333"])
+@pytest.mark.parametrize("colour", [INK, QUIET, RED, "#000000", "#333333", BLUE])
 def test_what_is_written_can_be_read_in_dark_mode(colour):
-    assert contrast(colour) >= 4.5
+    assert contrast(in_dark(colour, 4.5)) >= 4.5
+
+
+@pytest.mark.parametrize("colour", [BLUE, RED, INK, *(m.colour for m in METHODS.values())])
+def test_what_is_drawn_can_be_seen_in_dark_mode(colour):
+    assert contrast(in_dark(colour)) >= 3.0
 
 
 @pytest.mark.parametrize(
-    "colour", [BLUE, *STATE_COLOURS.values(), *type_colours(map(str, range(7))).values()]
+    "colour", [*STATE_COLOURS.values(), *type_colours(map(str, range(7))).values()]
 )
-def test_what_is_drawn_can_be_seen_in_dark_mode(colour):
-    assert contrast(colour) >= 2.9
+def test_states_and_types_keep_their_colours_in_dark_mode(colour):
+    assert to_hex(in_dark(colour)) == colour
 
 
-def test_the_view_turns_its_colours_as_the_style_sheet_turns_pictures():
+def test_view_has_the_colours_of_the_pictures_in_both_modes():
     script = (files("multicell.report.viewer") / "viewer.js").read_text()
-    matrix = json.loads(re.search(r"TURN = (\[\[.*?\]\])", script)[1])
-    np.testing.assert_array_equal(matrix, HUE)
-    assert float(re.search(r"const value = ([\d.]+) \*", script)[1]) == BRIGHTNESS
+    assert "prefers-color-scheme" not in script
+    assert "--stage" not in STYLE
+    assert f"background:{STAGE}" in STYLE
+    assert "filter:" not in STYLE
+
+
+@styled
+def mixed():
+    """Draw cells, dead ones among them, beside a curve, bars and letters."""
+    figure = blank("A title", "what is shown", (6.0, 4.0))
+    ground, chart = figure.subplots(1, 2)
+    frame_window(ground, np.zeros(3), 10.0)
+    rgb = np.array([to_rgb(colour) for colour in STATE_COLOURS.values()])
+    place = np.array([[-5.0, 5.0], [5.0, 5.0], [-5.0, -5.0], [5.0, -5.0]])
+    draw_discs(ground, place, np.full(4, 4.0), rgb)
+    ground.set_title("cells")
+    chart.bar([1, 2], [1, 2], color=[STATE_COLOURS["necrotic"], STATE_COLOURS["quiescent"]])
+    chart.plot([1, 2], [1, 2], color=INK)
+    chart.set_xlabel("time")
+    return figure
+
+
+def test_dark_mode_keeps_cells_on_a_light_ground_and_edges_what_would_be_lost():
+    figure = mixed()
+    ground, chart = figure.axes
+    before = ground.collections[0].get_facecolor().copy()
+    darken(figure)
+    assert to_hex(figure.get_facecolor()) == CARD
+    assert to_hex(ground.get_facecolor()) == STAGE
+    np.testing.assert_array_equal(ground.collections[0].get_facecolor(), before)
+    assert contrast(ground._left_title.get_color()) > 4.5
+    assert to_hex(chart.get_facecolor()) == CARD
+    dead, alive = chart.patches
+    assert [to_hex(bar.get_facecolor()) for bar in (dead, alive)] == [
+        STATE_COLOURS["necrotic"],
+        STATE_COLOURS["quiescent"],
+    ]
+    assert contrast(dead.get_edgecolor()) > 4.5
+    assert contrast(chart.lines[0].get_color()) > 4.5
+    assert contrast(chart.xaxis.label.get_color()) > 4.5
+
+
+def test_letters_on_tiles_stay():
+    figure = mixed()
+    chart = figure.axes[1]
+    chart.pcolormesh(np.arange(4.0).reshape(2, 2))
+    on_tile = chart.text(0.5, 0.5, "3.2", color=INK)
+    darken(figure)
+    assert on_tile.get_color() == INK
+    assert contrast(chart.xaxis.label.get_color()) > 4.5
+
+
+def test_small_letters_are_noticed():
+    figure = mixed()
+    figure.text(0.5, 0.5, "tiny", fontsize=3.0)
+    size, text = smallest_letters(figure)
+    assert text == "tiny"
+    assert size == pytest.approx(3.0 * 1004 / 96 / 6.0)
+    with pytest.raises(AssertionError, match="tiny"):
+        style.inline_picture(figure)
 
 
 @styled
@@ -87,5 +138,8 @@ def test_a_page_holds_a_picture_without_its_title():
     drawn = pixels(shown.png)
     assert drawn.shape == (shown.high, shown.wide, 3)
     assert (shown.wide, shown.high) == (960, 576)
+    night = pixels(shown.dark)
+    assert night.shape == drawn.shape
+    assert night[0, 0].tolist() == [0x18, 0x23, 0x2A]
     assert shown.subtitle == "what is shown"
     assert drawn[0, 0].tolist() == [255, 255, 255]

@@ -9,6 +9,9 @@ import pytest
 from study_tables import grid, sampled, with_states
 from synthetic import SCENE
 
+import multicell as mc
+from multicell.results.observables import centre
+from multicell.studies import spheroids
 from multicell.studies.page import key_observables, write_study_report
 from multicell.studies.runs import StudyRun
 from multicell.studies.status import RunStatus
@@ -139,3 +142,65 @@ def test_of_very_many_runs_those_that_failed_are_listed_first(table, tmp_path, m
     assert len(rows) == 5
     assert sum("failed" in row for row in rows) == 2
     assert "13 runs are left out here" in text
+
+
+# the picture of all tissues
+
+
+def tissues_of(folder, points, dimensions=3):
+    """Return runs at some points with two seeds each, of which some ended; their states."""
+    runs, states = [], []
+    for number, (oxygen, ended) in enumerate(points):
+        for seed in (1, 2):
+            changes = {"seed": seed, "initial.count": 5 + number, "dimensions": dimensions}
+            scene = mc.load_scene("growth").with_changes({**changes, "duration": "20 min"})
+            name = f"run-{number}-{seed}"
+            if ended:
+                mc.run(scene, output=folder / "runs" / name, report=False)
+            runs.append(StudyRun(name, scene, {OXYGEN: oxygen, "seed": seed}, 1.0))
+            states.append(RunStatus(name, "done" if ended else "waiting"))
+    return runs, states
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_picture_has_a_tissue_of_each_point_that_is_done(tmp_path, dimensions):
+    points = [(0.02, True), (0.03, False), (0.05, True)]
+    runs, states = tissues_of(tmp_path, points, dimensions)
+    found = spheroids.last_tissues(tmp_path, runs, states)
+    assert [(run.name, len(frame.cells)) for run, frame in found] == [
+        ("run-0-1", 5), ("run-2-1", 7)
+    ]  # fmt: skip
+    figure = spheroids.spheroids(grid(OXYGEN, seeds=2), "A study", found, 3)
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert [title.splitlines()[1] for title in titles] == ["5 cells", "7 cells"]
+    assert ["0.02" in titles[0], "0.05" in titles[1]] == [True, True]
+    assert "2 of 3 points" in "".join(text.get_text() for text in figure.texts)
+    assert len({axes.get_xlim() for axes in figure.axes}) == 1
+    drawn = [len(axes.collections[0].get_offsets()) for axes in figure.axes]
+    cut = [
+        len(f.cells) if dimensions == 2 else (abs(z_of(f)) < f.cells.radius).sum()
+        for _, f in found
+    ]  # fmt: skip
+    assert drawn == cut
+
+
+def z_of(frame):
+    return (frame.cells.position - centre(frame.cells, 3))[:, 2]
+
+
+def test_damaged_frames_leave_their_tissue_out(tmp_path):
+    runs, states = tissues_of(tmp_path, [(0.02, True), (0.05, True)])
+    (tmp_path / "runs" / "run-0-1" / "frames.h5").write_bytes(b"no frames")
+    found = spheroids.last_tissues(tmp_path, runs, states)
+    assert [run.name for run, _ in found] == ["run-1-1"]
+
+
+def test_page_without_results_has_no_tissues(table, folder):
+    assert not (folder / "tissues.png").exists()
+
+
+def test_each_picture_has_a_caption_of_its_own(table, tmp_path):
+    html = written(tmp_path, table, [OXYGEN, LAW])
+    captions = re.findall(r"<figcaption>(.*?)</figcaption>", html)
+    assert len(captions) == len(set(captions)) > 1
+    assert all(text.startswith("Diameter ") for text in captions)

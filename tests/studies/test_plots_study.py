@@ -9,6 +9,7 @@ from picture_texts import check_texts
 from study_tables import AXES, UNITS, grid, sampled, with_states
 
 from multicell.errors import SceneError
+from multicell.studies import picture_data, pictures
 from multicell.studies.picture_data import (
     at_end,
     axes_of,
@@ -214,3 +215,23 @@ def test_no_text_leaves_the_picture_or_covers_another(kind, names):
     before = dict(mpl.rcParams)
     check_texts(PICTURES[kind](plots(grid(*names, seeds=2))))
     assert dict(mpl.rcParams) == before
+
+
+@pytest.mark.parametrize(
+    ("numbers", "log", "ticks"),
+    [
+        ([0.02, 0.03, 0.05], False, True),
+        ([1.0, 1.001, 5.0], False, False),  # labels of the first two would overlap
+        ([1.0, 10.0, 100.0], True, True),
+        (list(range(1, 10)), False, False),
+    ],
+)
+def test_ticks_stand_at_values_that_ran_where_there_is_room(numbers, log, ticks):
+    assert pictures._readable(np.array(numbers, float), log) is ticks
+
+
+def test_panel_of_an_axis_names_its_values():
+    table = grid("oxygen.boundary", seeds=2)
+    figure = StudyPlots(table, "A study").response("diameter")
+    shown = [label.get_text() for label in figure.axes[0].get_xticklabels()]
+    assert shown == list(picture_data.axis_scale(table, "oxygen.boundary").texts)

@@ -18,6 +18,7 @@ from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from multicell.cells import Cells, FloatArray, State
@@ -25,6 +26,7 @@ from multicell.errors import OutputError, SceneError
 from multicell.population.extents import centre, uniform_radius
 from multicell.report.plots import style
 from multicell.report.plots.colouring import SCALE, Colouring
+from multicell.report.plots.dark import GROUND
 from multicell.report.wording import cell_count
 from multicell.results.frame import Field, Frame
 from multicell.scene.nutrient import Nutrient
@@ -193,6 +195,7 @@ def field_maps(frame: Frame, scene: Scene) -> Figure:
         shades, _ = draw_field(axes, field, float(middle[2]), nutrient, medium, None, viridis)
         if nutrient.necrosis is not None:
             draw_necrotic(axes, cells, cells.position, float(middle[2]))
+        scale_bar(axes, middle, half, edge=1.5)
         bar = figure.colorbar(shades, cax=axes.inset_axes((1.03, 0.0, 0.05, 1.0)))
         bar.outline.set_visible(False)
         bar.locator = MaxNLocator(5, prune="both")  # two bars may stand one above the other
@@ -229,7 +232,7 @@ def frame_window(axes: Axes, middle: FloatArray, half: float, width: float | Non
     across = half if width is None else width
     axes.set_xlim(middle[0] - across, middle[0] + across)
     axes.set_ylim(middle[1] - half, middle[1] + half)
-    axes.set(xticks=[], yticks=[], aspect="equal")
+    axes.set(xticks=[], yticks=[], aspect="equal", gid=GROUND)
 
 
 def draw_discs(
@@ -413,16 +416,37 @@ def _draw_bar(
     return bar
 
 
-def scale_bar(axes: Axes, middle: FloatArray, half: float) -> None:
-    """Draw a bar of a round length in the lower left corner."""
+def scale_bar(
+    axes: Axes, middle: FloatArray, half: float, edge: float = 0.0, size: float = 12.0
+) -> None:
+    """Draw a bar of a round length in the lower left corner.
+
+    - ``edge``: width of a white edge, points, by which it stands out from a dark ground
+    - ``size``: of its letters, points
+    """
     lengths = (n * 10**k for k in range(4) for n in (1, 2, 5))
     length = max(n for n in lengths if n <= 0.6 * half)
     left = axes.get_xlim()[0] + 0.07 * half
     low = middle[1] - 0.93 * half
+    around = [withStroke(linewidth=2.0 * edge, foreground="white")] if edge else []
     axes.plot(
-        [left, left + length], [low, low], color=style.INK, lw=5, solid_capstyle="butt", zorder=5
+        [left, left + length],
+        [low, low],
+        color=style.INK,
+        lw=5,
+        solid_capstyle="butt",
+        zorder=5,
+        path_effects=[withStroke(linewidth=5.0 + 2.0 * edge, foreground="white")] if edge else [],
     )
-    axes.text(left + 0.5 * length, low + 0.035 * half, f"{length} µm", ha="center", zorder=5)
+    axes.text(
+        left + 0.5 * length,
+        low + 0.035 * half,
+        f"{length} µm",
+        ha="center",
+        fontsize=size,
+        zorder=5,
+        path_effects=around,
+    )
 
 
 def explain_colours(figure: Figure, shade: Colouring, title: str, shown: Any = slice(None)) -> None:

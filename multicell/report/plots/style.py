@@ -177,33 +177,43 @@ def render(figure: Figure, format: str) -> bytes:
 
 
 class InlinePicture(NamedTuple):
-    """A picture as a page shows it; ``style.css`` turns its colours in dark mode."""
+    """A picture as a page shows it."""
 
     png: str  # in base64
+    dark: str  # the same in dark mode
     wide: int  # pixels
     high: int
     subtitle: str  # what the picture says of itself
 
 
 def inline_picture(figure: Figure) -> InlinePicture:
-    """Return a figure for a page; its title is hidden afterwards."""
-    from PIL import Image
+    """Return a figure for a page; afterwards it has no title and the colours of dark mode."""
+    from multicell.report.plots.dark import darken
 
     wide, high = figure.get_size_inches()
     for text in figure.texts:
         if text.get_gid() == TITLE:
             text.set_visible(False)
             high -= _TITLE_HEIGHT
+    box = Bbox([[0.0, 0.0], [wide, high]])
+    png, size = _packed(figure, box)
+    darken(figure)
+    dark, _ = _packed(figure, box)
+    subtitles = [text.get_text() for text in figure.texts if text.get_gid() == SUBTITLE]
+    return InlinePicture(png, dark, *size, subtitle="".join(subtitles))
+
+
+def _packed(figure: Figure, box: Bbox) -> tuple[str, tuple[int, int]]:
+    """Return a part of a figure, inches, as a PNG in base64, and its size in pixels."""
+    from PIL import Image
+
     drawn, packed = io.BytesIO(), io.BytesIO()
-    look: dict[str, Any] = {"dpi": DPI, "facecolor": figure.get_facecolor()}
-    figure.savefig(drawn, format="png", bbox_inches=Bbox([[0.0, 0.0], [wide, high]]), **look)
+    figure.savefig(drawn, format="png", bbox_inches=box, dpi=DPI, facecolor=figure.get_facecolor())
     image = Image.open(drawn).convert("RGB")
     # a palette makes it a third as large
     few = image.quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     few.save(packed, format="PNG", optimize=True)
-    png = base64.b64encode(packed.getvalue()).decode("ascii")
-    subtitles = [text.get_text() for text in figure.texts if text.get_gid() == SUBTITLE]
-    return InlinePicture(png, *image.size, subtitle="".join(subtitles))
+    return base64.b64encode(packed.getvalue()).decode("ascii"), image.size
 
 
 def type_colours(names: Iterable[str]) -> dict[str, str]:

@@ -16,6 +16,7 @@ function write(k) {
   inputs[k].setAttribute("aria-valuetext", words);
 }
 
+const night = matchMedia("(prefers-color-scheme: dark)");
 let shown = "", asked = 0, loading = false;
 async function look() {
   let run;
@@ -59,12 +60,18 @@ async function draw() {
   };
   next.src = at("/view", `&at=${Date.now()}`);
   find(".frames").hidden = false;
-  const answer = await fetch(at("/curves"));
+  await curves();
+}
+
+async function curves() {
+  const answer = await fetch(at("/curves", night.matches ? "&dark=1" : ""));
   if (!answer.ok) return;
   const reader = new FileReader();
   reader.onload = () => { find(".curve").src = reader.result; find("#compared").hidden = false; };
   reader.readAsDataURL(await answer.blob());
 }
+
+night.onchange = () => { if (!find("#compared").hidden) curves(); };
 
 async function begin() {
   const body = JSON.stringify({ places: inputs.map((input) => Number(input.value)) });

@@ -143,21 +143,11 @@ function home() {
 }
 
 // ---- what is shown
-const night = window.matchMedia("(prefers-color-scheme: dark)");
-// groups have the colours of the pictures, which style.css turns in dark mode: the same filter here
-const TURN = [[-0.574, 1.43, 0.144], [0.426, 0.43, 0.144], [0.426, 1.43, -0.856]];
-const turned = (rgb) => TURN.map((row) => {
-  const value = 1.2 * row.reduce((sum, share, k) => sum + share * (1 - rgb[k]), 0);
-  return Math.min(1, Math.max(0, value));
-});
-let onPaper = false;  // which is white at night too
-const paletteOf = (entry) => (night.matches && !onPaper && columnOf[entry.name].words ? entry.palette.map(turned) : entry.palette);
-night.addEventListener("change", () => show(shown));
 let shown = 0, colouring = about.colourings[0].name, pending = false;
 function fillColours() {
   const column = columnOf[colouring], values = columnsAt(shown)[colouring];
   const about_ = about.colourings.find((entry) => entry.name === colouring);
-  const palette = paletteOf(about_).map((rgb) => rgb.map((c) => Math.round(255 * c)));
+  const palette = about_.palette.map((rgb) => rgb.map((c) => Math.round(255 * c)));
   const codes = palette.map(([r, g, b]) => r | (g << 8) | (b << 16));
   if (column.words) {
     for (let i = 0; i < values.length; i++) tint[i] = codes[values[i] % codes.length];
@@ -262,7 +252,7 @@ function legend() {
     column.words.forEach((word, k) => {
       if (!counts[k]) return;
       const entry = document.createElement("span"), dot = document.createElement("i");
-      dot.style.background = `rgb(${paletteOf(about_)[k].map((c) => Math.round(255 * c)).join()})`;
+      dot.style.background = `rgb(${about_.palette[k].map((c) => Math.round(255 * c)).join()})`;
       entry.append(dot, `${word} (${counts[k].toLocaleString("en")})`);
       box.append(entry);
     });
@@ -353,7 +343,6 @@ function marks() {
   });
 }
 function picture() {  // the cells with their time, bar and colours, for files and for paper
-  onPaper = true; fillColours(); legend();
   const sheet = find("still"), ink = sheet.getContext("2d"), scale = 2 * screen(), { wide, high: low } = size;
   const entries = [...find("legend").children], aside = (wide - 28) / 3;
   sheet.width = scale * wide; sheet.height = scale * (low + 30 + 24 * Math.ceil(entries.length / 3));
@@ -376,7 +365,6 @@ function picture() {  // the cells with their time, bar and colours, for files a
     }
     ink.fillStyle = "#22303c"; ink.fillText(entry.textContent, x + 18, y, aside - 24);
   });
-  onPaper = false; fillColours(); legend();
   return sheet;
 }
 function draw() {
@@ -475,9 +463,10 @@ const charts = about.curves.map((curve) => {
   svg.setAttribute("viewBox", `0 0 ${wide} ${high}`);
   svg.setAttribute("role", "img");
   svg.setAttribute("aria-label", `${curve.label} over time`);
-  const last = about.end || 1, top_ = Math.max(...curve.values.filter((v) => v !== null), 1e-12);
+  const last = about.end || 1, known = curve.values.filter((v) => v !== null);
+  const least = Math.min(0, ...known), range = Math.max(1e-12, ...known) - least;  // pressure may be a pull
   const px = (t) => left + (wide - 2 * left) * t / last;
-  const py = (v) => high - bottom - (high - bottom - top) * v / top_;
+  const py = (v) => high - bottom - (high - bottom - top) * (v - least) / range;
   let path = "", open = false;
   curve.values.forEach((v, k) => {
     if (v === null) { open = false; return; }
@@ -485,7 +474,7 @@ const charts = about.curves.map((curve) => {
     open = true;
   });
   const make = (kind, attributes, text) => part(svg, kind, attributes, text);
-  make("line", { x1: left, x2: wide - left, y1: high - bottom, y2: high - bottom, class: "axis" });
+  make("line", { x1: left, x2: wide - left, y1: py(0), y2: py(0), class: "axis" });
   make("path", { d: path, class: "curve" });
   const line = make("line", { y1: top - 4, y2: high - bottom, class: "now" });
   make("text", { x: left, y: 13 }, curve.label);
