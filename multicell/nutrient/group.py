@@ -23,6 +23,7 @@ from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.equations.substance import Substance
 from multicell.nutrient.grid import Layout, relative_diffusion, tissue_share
 from multicell.nutrient.tissue import reaching
+from multicell.scene.nutrient import OWN_SOLVERS
 from multicell.scene.reactions import groups
 
 if TYPE_CHECKING:
@@ -73,7 +74,10 @@ class FieldGroup:
     def solve(self, tissue: Tissue, demand: Demand, *, time: float) -> dict[str, FieldExchange]:
         """Bring the fields to rest with the cells' uptake and secretion."""
         self.begin(tissue, demand, time, carry=False)
-        self._run("multicell-steady", time, time)
+        if self._outside is None:
+            self._run("multicell-steady", time, time)
+        else:
+            self._settle(time)
         self.finish(time)
         reports, rows = self.info["reports"], zip(self.names, self.info["rates"], strict=True)
         costs = ("newton", "cg", "residual")  # what a report begins with
@@ -98,7 +102,10 @@ class FieldGroup:
         nutrients = [field.parameters.nutrient for field in self.fields.values()]
         scales = np.array([FADED * n.highest for n in nutrients])
         tolerance = min(n.time_tolerance for n in nutrients)
-        self._run("multicell-march", begin, end, tolerance=tolerance, scales=scales)
+        if self._outside is None:
+            self._run("multicell-march", begin, end, tolerance=tolerance, scales=scales)
+        else:
+            relaid = relaid + self._bring(begin, end, tolerance)
         self.finish(end)
         return self.exchanges(self.info["amounts"], relaid)
 
@@ -147,6 +154,49 @@ class FieldGroup:
         solver.watch = self.watch
         solver.make_stepper(self.state)(self.state, begin, end)
         self.info = solver.info
+
+    @property
+    def _outside(self) -> str | None:
+        """The solver that the scene names in place of those that runs take by themselves."""
+        name = self.first.parameters.nutrient.solver
+        return None if name in OWN_SOLVERS else name
+
+    def _scales(self) -> FloatArray:
+        """Return the highest concentration of each field, or of what it holds, (m,) mM."""
+        levels = [field.parameters.nutrient.highest for field in self.fields.values()]
+        there = self.state.data.reshape(len(levels), -1).max(axis=1)
+        found = np.maximum(levels, there)
+        return np.where(found > 0.0, found, 1.0)
+
+    def _settle(self, time: float) -> None:
+        """Bring the state to rest by a solver of the scene's choice."""
+        from multicell.nutrient.equations import outside
+
+        assert self._outside is not None
+        found, reports = outside.settle(
+            self.equation, self._outside, self.state.data, time, self._scales()
+        )
+        self.state.data[...] = found
+        self.info = {"reports": reports, "rates": self.equation.exchanges(found, time)}
+
+    def _bring(self, begin: float, end: float, tolerance: float) -> FloatArray:
+        """Bring the state to ``end`` by a solver of the scene's choice; return what that added."""
+        from multicell.nutrient.equations import outside
+
+        assert self._outside is not None
+        found = outside.bring(
+            self.equation,
+            self._outside,
+            self.state.data,
+            begin,
+            end,
+            tolerance=tolerance,
+            scales=self._scales(),
+            watch=self.watch,
+        )
+        self.state.data[...] = found.data
+        self.info = {"steps": found.steps, "amounts": found.amounts}
+        return found.lifted
 
     def finish(self, time: float) -> None:
         """Give the fields what has been found."""

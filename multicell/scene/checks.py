@@ -11,6 +11,7 @@ from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
 from multicell.scene import domain as box
 from multicell.scene.dependences import solving_order
+from multicell.scene.field_solvers import check_solver
 from multicell.scene.oxygen import OXYGEN, saturated
 from multicell.scene.reactions import groups
 from multicell.scene.scales import (
@@ -166,6 +167,7 @@ def check_nutrients(scene: Scene) -> None:
             problem = f"begins at {nutrient.media[0][0]:g} s, before the run"
             raise SceneError(f"{path}.media", problem)
         _check_finite(scene, path, nutrient)
+        check_solver(scene, name)
         _check_layer(path, nutrient)
         if scene.box is not None:
             _check_in_domain(scene, name)
@@ -381,7 +383,12 @@ def _check_grid(scene: Scene, group: list[str]) -> None:
 
 
 def _check_regime(scene: Scene, group: list[str]) -> None:
-    """Check that fields which react with each other are all steady or all transient."""
+    """Check that fields which react are all steady or all transient, by one solver."""
+    for name in group:
+        own, other = scene.nutrients[name].solver, scene.nutrients[group[0]].solver
+        if own != other:
+            problem = f"is '{own}', but that of {group[0]}, with which it reacts, is '{other}'"
+            raise SceneError(f"nutrients.{name}.solver", problem, "Make both the same.")
     given = {scene.nutrients[name].regime: name for name in group}
     if "steady" not in given:
         return

@@ -21,6 +21,7 @@ from multicell.schema import (
     specs,
     table,
     tables,
+    text,
 )
 
 MAX_CONCENTRATION = 1e5
@@ -74,6 +75,9 @@ class Side:
         if self.type == "derivative" and self.derivative is None:
             raise SceneError("derivative", "is missing on a side of type 'derivative'")
 
+
+OWN_SOLVERS = ("auto", "multicell-march", "multicell-steady")
+"""Values of ``solver`` for which a run takes its own, transient or steady by the regime."""
 
 LEVELS = (
     "boundary",
@@ -237,6 +241,11 @@ class Nutrient:
     )
     time_tolerance: float = number(
         default=1e-3, at_least=1e-9, at_most=0.1, doc="error of a transient step / concentration"
+    )
+    solver: str = text(
+        default="auto",
+        doc="of py-pde's registry, such as explicit, runge-kutta, scipy or multicell-implicit; "
+        "auto: multicell-steady or multicell-march, by the regime",
     )
     initial: str = choice(
         ["medium", "steady"], default="medium", doc="where a transient field starts from"

@@ -54,6 +54,12 @@ REGIMES = {
         "finite_medium": {"volume": "8e6 um^3", "replaced": 0.5},
         "media": [["15 min", 0.0595]],
     },
+    "py-pde's solver": {
+        "regime": "transient",
+        "margin": "40 um",
+        "time_tolerance": 0.02,
+        "solver": "scipy",
+    },
     "shells": {
         "regime": "transient",
         "time_tolerance": 0.02,
@@ -68,7 +74,7 @@ METHODS = {
 }
 
 
-KEPT = ("regime", "margin", "time_tolerance", "geometry", "layer", "spacing", "height")
+KEPT = ("regime", "margin", "time_tolerance", "solver", "geometry", "layer", "spacing", "height")
 
 
 def fields(regime, dimensions):

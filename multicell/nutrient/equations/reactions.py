@@ -61,6 +61,11 @@ class Reactions:
         found, _ = self.kinetics.evaluate(self._flat(nodes), self.tissue)
         return found.reshape(len(self.substances), *self.substances[0].shape)
 
+    def fastest(self, nodes: Nodes) -> float:
+        """Return the largest sum of rates of one field at one node, 1/s."""
+        _, derivative = self.kinetics.evaluate(self._flat(nodes), self.tissue)
+        return float(np.abs(derivative).sum(axis=1).max(initial=0.0))
+
     def shifted_inverse(
         self, nodes: Nodes, slopes: Nodes
     ) -> Callable[[FloatArray, float], FloatArray]:

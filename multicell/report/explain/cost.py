@@ -20,6 +20,8 @@ from multicell.nutrient.parameters import FieldParameters
 from multicell.report.explain.course import Course, expected_course
 from multicell.report.explain.items import Number, hours
 from multicell.scene import domain as box
+from multicell.scene.field_solvers import expected_step
+from multicell.scene.nutrient import OWN_SOLVERS
 from multicell.scene.pairs import daughters_stiffness, drag
 from multicell.scene.reactions import group_of
 from multicell.scene.scales import MAX_NODES, regime
@@ -56,6 +58,9 @@ _USUAL: Final = 3.3  # steps of a transient field in a coupling step that change
 _KICK: Final = 5.0  # times n^(-2/3): part of a field that moves with one of n cells that divides
 _KICKED: Final = 6.5  # times the logarithm of that over the tolerance: steps until it has settled
 _RELAID: Final = 6.0  # times that a field in a finite medium is solved for in a step
+
+_RATE: Final = 1e-4  # s of the rates of a field and their account, for solvers of py-pde's
+_NODE_RATE: Final = 2e-8  # and for each node
 
 _NOTED_SHARE: Final = 0.01  # part of the tissue whose death at the start is worth a note
 
@@ -132,12 +137,21 @@ def _fields(scene: Scene, found: Course, steps: float, frames: float) -> tuple[f
 
 
 def _field_seconds(scene: Scene, name: str, found: Course, steps: float, nodes: float) -> float:
+    if scene.nutrients[name].solver not in OWN_SOLVERS:
+        longest = expected_step(scene, name)
+        if math.isfinite(longest):
+            return steps * (_FIELD + scene.coupling_step / longest * _rate_seconds(nodes))
     if regime(scene, name) == "steady":
         return steps * (_FIELD + _NODE_STEP * nodes)
     nutrient = scene.nutrients[name]
     each = _SOLUTION + _NODE_SOLUTION * nodes * (_UPTAKE if nutrient.takes_up else 1.0)
     again = _RELAID if nutrient.finite_medium is not None else 1.0
     return steps * _FIELD + again * each * solutions(scene, name, found, steps)
+
+
+def _rate_seconds(nodes: float) -> float:
+    """Return the time of one evaluation of a field's rates and its account, s."""
+    return _RATE + _NODE_RATE * nodes
 
 
 def solutions(scene: Scene, name: str, found: Course, steps: float) -> float:

@@ -10,7 +10,8 @@ from multicell.report.explain.items import ExplainedPart, Number, hours, part
 from multicell.scene import domain as box
 from multicell.scene import scales
 from multicell.scene.dependences import solving_order
-from multicell.scene.nutrient import Nutrient
+from multicell.scene.field_solvers import expected_step
+from multicell.scene.nutrient import OWN_SOLVERS, Nutrient
 from multicell.scene.reactions import Reaction, group_of
 from multicell.scene.responses import relevant_fields
 from multicell.scene.scene import Scene
@@ -59,6 +60,8 @@ def _what(scene: Scene, name: str) -> str:
     regime = f"{scales.regime(scene, name)} ({_regime_reason(scene, name)})"
     parts = [regime, _geometry(scene, nutrient, scales.largest_spacing(scene, name))]
     parts.append(_medium(nutrient))
+    if nutrient.solver not in OWN_SOLVERS:
+        parts.append(_solver(scene, name))
     together = [other for other in group_of(name, scene.reactions) if other != name]
     if together:
         parts.append(f"solved together with {', '.join(together)}, with which it reacts")
@@ -68,6 +71,18 @@ def _what(scene: Scene, name: str) -> str:
     for other, share in (nutrient.secretion_from or {}).items():
         parts.append(f"{share:g} secreted for each {other} taken up")
     return "; ".join(parts)
+
+
+def _solver(scene: Scene, name: str) -> str:
+    """Return which solver of py-pde's a field takes, and how long its steps are."""
+    solver, longest = scene.nutrients[name].solver, expected_step(scene, name)
+    if not math.isfinite(longest):
+        return f"solved by {solver}, which chooses its steps"
+    number = math.ceil(scene.coupling_step / longest)
+    most = (
+        f"solved by {solver} in steps of {longest:.2g} s, the most that diffusion and uptake allow"
+    )
+    return f"{most}: {number:,} a coupling step"
 
 
 def _regime_reason(scene: Scene, name: str) -> str:
