@@ -429,6 +429,9 @@ class CellType:
     motility_scale: float = number(
         default=1.0, at_least=0, doc="active forces / those of the scene"
     )
+    diffusion_scale: float = number(
+        default=1.0, at_least=0, at_most=1e6, doc="diffusion by motility / that of the scene"
+    )
 
     @property
     def sticks(self) -> bool:
@@ -520,13 +523,21 @@ class Chemotaxis:
 @final
 @parameters
 class Motility:
-    """Persistent random motion: a constant force whose direction is drawn anew at intervals.
+    """Random motion: a constant force whose direction is drawn anew at intervals, and diffusion.
+
+    Diffusion is Brownian motion. It enters as a random force that is constant over an internal
+    step, so that all methods of integration follow the same path.
 
     With a bias b its direction is that of ``b u + (1 - |b|) e``: e is drawn at random, u is the
     fixed ``direction``, or that of the gradient of the field ``towards`` where the cell is.
     """
 
-    force: float = quantity("nN", default=0.1, at_least=0, doc="of every living cell")
+    force: float = quantity(
+        "nN",
+        default=None,
+        at_least=0,
+        doc="of every living cell; absent: 0.1 nN, or none where cells diffuse",
+    )
     persistence: float = quantity(
         "s", default=600.0, above=0, doc="polarisation time, between two changes of direction"
     )
@@ -542,9 +553,41 @@ class Motility:
         "", default=None, doc="that a bias is along, of any length"
     )
     towards: str = text(default="", doc="name of the field whose gradient a bias is along")
+    diffusion: float | None = quantity(
+        "um^2/s",
+        default=None,
+        above=0,
+        at_most=1e6,
+        doc="D of living cells that touch nothing, by Brownian motion beside the force: their mean "
+        "square displacement in a time t is 2 D t along each axis",
+    )
+    diffusion_step: float | None = quantity(
+        "s",
+        default=None,
+        above=0,
+        at_least=1e-6,
+        doc="internal step: longest time for which the force of diffusion is constant, halved from "
+        "above to a power of two of the coupling step; absent: a free cell diffuses a fifth of its "
+        "birth radius in it",
+    )
+
+    def prepare(self) -> None:
+        """Let cells that diffuse have no force unless one is given."""
+        if self.force is None:
+            object.__setattr__(self, "force", 0.1 if self.diffusion is None else 0.0)
+
+    @property
+    def pushes(self) -> bool:
+        """Whether cells have a force beside their diffusion."""
+        return self.force > 0.0 or self.diffusion is None
 
     def check(self) -> None:
-        """Raise ``SceneError`` for a bias along nothing, and for a way without a bias."""
+        """Raise ``SceneError`` for keys without effect, and for a bias along nothing."""
+        if self.diffusion_step is not None and self.diffusion is None:
+            raise SceneError("diffusion_step", "has no effect: there is no motility.diffusion")
+        if self.bias and not self.pushes:
+            hint = "Give motility.force, or leave bias out."
+            raise SceneError("bias", "has no effect: cells diffuse, and have no force", hint)
         given = [name for name in ("direction", "towards") if getattr(self, name)]
         if self.bias and len(given) != 1:
             problem = "needs a direction, or a field that it is towards; not both"

@@ -40,7 +40,7 @@ def separate(scene: Scene, cells: Cells) -> Cells:
     Each but one of them moves by a millionth of its radius along a random direction; the
     contact forces do the rest.
     """
-    if len(cells) < 2:
+    if len(cells) < 2 or not scene.contact.acts:
         return cells
     # a thousand cells at one place are half a million pairs: those behind the first are only named
     first = np.sort(np.unique(cells.position, axis=0, return_index=True)[1])

@@ -20,6 +20,12 @@ from multicell.mechanics.neighbours.pair_list import (
     are_listed,
     listed,
 )
+from multicell.mechanics.neighbours.periodic import (
+    build_periodic,
+    nearest_differences,
+    overlapping_pairs,
+    wrapped,
+)
 from multicell.mechanics.neighbours.updating import BUILT, REPAIRED, TOO_CROWDED
 
 __all__ = [
@@ -34,8 +40,12 @@ __all__ = [
     "TooManyPairsError",
     "are_listed",
     "build",
+    "build_periodic",
     "listed",
+    "nearest_differences",
     "neighbour_pairs",
+    "overlapping_pairs",
     "spatial_order",
     "too_many_pairs",
+    "wrapped",
 ]

@@ -19,7 +19,7 @@ from multicell.report.explain.networks import network_words
 from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
 from multicell.report.explain.stiffness import place_of, stiffness_numbers
 from multicell.scene.domain import sides
-from multicell.scene.pairs import daughters_stiffness, drag
+from multicell.scene.pairs import drag, explicit_limit
 from multicell.scene.parts import CYCLE_PHASES
 from multicell.scene.responses import Effect, effects
 from multicell.scene.scene import Scene
@@ -265,7 +265,7 @@ def _notes(scene: Scene) -> list[str]:
     notes = []
     if scene.death is not None and not scene.nutrients and not scene.radiation:
         notes.append("Without a nutrient no cell becomes necrotic: [death] has no effect.")
-    deep = 0 if scene.initial.cells is None else deep_overlaps(scene)
+    deep = 0 if scene.initial.cells is None or not scene.contact.acts else deep_overlaps(scene)
     if deep:
         notes.append(
             f"{deep:,} pair(s) of cells in the table are nearer than half the sum of their radii: "
@@ -284,7 +284,7 @@ def _notes(scene: Scene) -> list[str]:
             "The coupling step is above a twentieth of the cycle time: divisions come late. "
             "Take a smaller coupling_step."
         )
-    limit = drag(scene, birth_radius(scene)) / daughters_stiffness(scene)
+    limit = explicit_limit(scene)
     name, inner = scene.integrator.method, scene.integrator.step
     method = METHODS.get(name) or MethodInfo(name)
     limit *= method.stable / 6.0
