@@ -125,13 +125,15 @@ def chemotactic_force(plan: BiologyPlan, cells: Cells, gradients: Signals) -> Fl
     """Return the force along the gradients of fields, (n, 3) nN.
 
     F = force ∇c / (|∇c| + half): proportional to small gradients, and of constant size in steep
-    ones, where receptors are saturated.
+    ones, where receptors are saturated; times the factor of the cell's type.
     """
     total = np.zeros((len(cells), 3))
     for name, law in plan.chemotaxis.items():
         gradient = gradients[name]
         steepness = np.linalg.norm(gradient, axis=1, keepdims=True)
-        total += law.force * gradient / (steepness + law.half)
+        force = law.force * gradient / (steepness + law.half)
+        factor = plan.chemotaxis_of.get(name)
+        total += force if factor is None else factor[cells.kind, None] * force
     return total
 
 

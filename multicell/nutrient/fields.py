@@ -449,7 +449,8 @@ class FieldSystem:
         rates = {name: self._uptake_rate(name, cells) for name in self.fields}
         found |= {f"uptake_{name}": rate for name, rate in rates.items()}
         if rates and self._scene.dimensions == 3:
-            rim = viable_volume(cells)
+            repeats = self._scene.box is not None and self._scene.box.periodic
+            rim = math.nan if repeats else viable_volume(cells)
             found |= {f"rim_uptake_{name}": rate / rim for name, rate in rates.items()}
         return found
 

@@ -31,6 +31,7 @@ from multicell.schema import (
     vector,
 )
 from multicell.units import shown
+from multicell.vectors import wrapped
 
 if TYPE_CHECKING:
     from multicell.vectors import FloatArray
@@ -429,6 +430,12 @@ class CellType:
     motility_scale: float = number(
         default=1.0, at_least=0, doc="active forces / those of the scene"
     )
+    chemotaxis_of: Mapping[str, float] | None = quantities(
+        "",
+        at_least=-1e6,
+        at_most=1e6,
+        doc="factors on the forces of chemotaxis, by field; negative: the other way, 0: not at all",
+    )
     diffusion_scale: float = number(
         default=1.0, at_least=0, at_most=1e6, doc="diffusion by motility / that of the scene"
     )
@@ -620,6 +627,11 @@ class Domain:
     x: tuple[float, float] | None = span(doc="from side x- to side x+")
     y: tuple[float, float] | None = span(doc="from side y- to side y+")
     z: tuple[float, float] | None = span(doc="from side z- to side z+; not in two dimensions")
+    periodic: tuple[str, ...] = names(
+        "xyz",
+        doc="axes of a box along which space repeats, as ['x', 'y']: no walls stand there, and "
+        "cells and fields meet those at the other side",
+    )
     young: float | None = _stiffness(doc="Young's modulus of the walls; absent: that of the cells")
     poisson: float | None = number(
         default=None,
@@ -632,11 +644,38 @@ class Domain:
     def check(self) -> None:
         """Raise ``SceneError`` for keys that have no meaning together."""
         sphere = self.shape == "sphere"
-        for name in ("x", "y", "z") if sphere else ("radius", "stiffness"):
-            if getattr(self, name) is not None:
+        for name in ("x", "y", "z", "periodic") if sphere else ("radius", "stiffness"):
+            if getattr(self, name):
                 raise SceneError(name, f"has no meaning where shape = '{self.shape}'")
         if sphere and self.radius is None:
             raise SceneError("radius", "is missing: a sphere has one", "Such as '100 um'.")
+
+    @property
+    def repeats(self) -> tuple[bool, bool, bool]:
+        """Whether space repeats along each axis."""
+        x, y, z = (axis in self.periodic for axis in "xyz")
+        return x, y, z
+
+    @property
+    def period(self) -> FloatArray | None:
+        """Length after which space repeats along each axis, (3,) µm, zero where it does not."""
+        if not self.periodic:
+            return None
+        low, high = self.corners()
+        return np.where(self.repeats, np.subtract(high, low), 0.0)
+
+    def inside(self, position: FloatArray) -> FloatArray:
+        """Return the images of places (n, 3) in µm that lie in the domain, where space repeats."""
+        period = self.period
+        if period is None:
+            return position
+        low = np.where(self.repeats, self.corners()[0], 0.0)
+        return low + wrapped(position - low, period)
+
+    def sides(self) -> tuple[FloatArray, FloatArray]:
+        """Return the lower and the upper walls of a box, (3,) µm, infinite where there is none."""
+        low, high = self.corners()
+        return np.where(self.repeats, -np.inf, low), np.where(self.repeats, np.inf, high)
 
     def corners(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         """Return the lower and the upper corner, µm, infinite along an axis that is absent."""

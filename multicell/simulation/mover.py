@@ -56,7 +56,7 @@ class Mover:
         self.limit = stability.limit_of(self.integrator)
         self._seed, self._dimensions, self._domain = scene.seed, scene.dimensions, scene.domain
         self._counts = counts_contacts(scene)
-        self._is_free = not scene.contact.acts and scene.domain is None
+        self._is_free = not scene.contact.acts and self.system.walls is None
         self._paths: Any = brownian_paths(scene)
         self._gel: Any = self.system.walls if getattr(self.system.walls, "shear", None) else None
 

@@ -236,6 +236,21 @@ def special():
     del scene["nutrients"]["oxygen"]["necrosis"]
     scene["nutrients"]["oxygen"]["relative"] = {"necrosis": {"to": "quiescence", "factor": 0.97}}
     yield "relative", scene
+    yield "drifting", {
+        "seed": 2, "duration": 240.0, "coupling_step": 60.0, "initial": {"count": 20},
+        "contact": {"law": "hertz"},
+        "types": {
+            "a": {"fraction": 0.5, "diffusion_scale": 2.0, "chemotaxis_of": {"guide": -2.0}},
+            "b": {"fraction": 0.5},
+        },
+        "motility": {"diffusion": "0.02 um^2/s", "diffusion_step": "20 s"},
+        "chemotaxis": {"guide": {"force": "0.2 nN", "half": "1e-3 mM/um"}},
+        "domain": {axis: [-20.0, 20.0] for axis in "xyz"} | {"periodic": ["x", "y"]},
+        "nutrients": {"guide": {
+            "diffusion": "50 um^2/s", "boundary": "0.1 mM", "spacing": "10 um", "uptake": 0,
+            "secretion": "5 amol/s", "regime": "steady",
+        }},
+    }  # fmt: skip
     growing = {name: scene[name] for name in ("duration", "coupling_step", "initial", "growth")}
     yield "stop", {**growing, "contact": {"law": "hertz"}, "stop_cells": 31}
     loose = {"contact": {"law": "hertz"}, "initial": {"count": 6, "spacing": 0.8}}

@@ -22,9 +22,7 @@ from multicell.mechanics.neighbours.pair_list import (
 )
 from multicell.mechanics.neighbours.periodic import (
     build_periodic,
-    nearest_differences,
     overlapping_pairs,
-    wrapped,
 )
 from multicell.mechanics.neighbours.updating import BUILT, REPAIRED, TOO_CROWDED
 
@@ -42,10 +40,8 @@ __all__ = [
     "build",
     "build_periodic",
     "listed",
-    "nearest_differences",
     "neighbour_pairs",
     "overlapping_pairs",
     "spatial_order",
     "too_many_pairs",
-    "wrapped",
 ]

@@ -20,26 +20,7 @@ from multicell.mechanics.neighbours.building import (
     too_many_pairs,
 )
 from multicell.mechanics.neighbours.pair_list import CHUNK, ListArrays, OffsetArray, PairList
-
-
-def wrapped(position: FloatArray, period: FloatArray) -> FloatArray:
-    """Return the images of places (n, 3) that lie between zero and the period, (3,) µm.
-
-    A period of zero: space does not repeat along this axis.
-    """
-    inverse = np.divide(1.0, period, out=np.zeros(3), where=period > 0.0)
-    return np.asarray(position - period * np.floor(position * inverse))
-
-
-def nearest_differences(
-    first: FloatArray, second: FloatArray, period: FloatArray | None
-) -> FloatArray:
-    """Return the ways from places (n, 3) to the nearest images of others, µm."""
-    way = second - first
-    if period is None:
-        return way
-    inverse = np.divide(1.0, period, out=np.zeros(3), where=period > 0.0)
-    return np.asarray(way - period * np.floor(way * inverse + 0.5))
+from multicell.vectors import nearest_differences, wrapped
 
 
 def build_periodic(

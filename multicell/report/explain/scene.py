@@ -205,6 +205,12 @@ def _taxis(scene: Scene) -> list[ExplainedPart]:
         speed = 3600.0 * abs(law.force) / resistance
         way = "up" if law.force >= 0.0 else "down"
         what = f"a free cell drifts {way} a steep gradient at {speed:.3g} um/h"
+        factors = [
+            f"{kind} {part.chemotaxis_of[name]:g}"
+            for kind, part in scene.types.items()
+            if name in (part.chemotaxis_of or {})
+        ]
+        what += f"; times, of {', '.join(factors)}" if factors else ""
         parts.append(part(f"chemotaxis.{name}", what))
     if scene.surface is not None:
         what = f"{scene.surface.tension:g} nN/um, which presses on a ball of 300 um radius"
@@ -226,6 +232,10 @@ def _domain_words(scene: Scene) -> str:
     else:
         lengths = " x ".join(f"{length:g}" for length in sides(domain))
         words = f"a box of {lengths} um; fields that stand still on it: {names or 'none'}"
+    if domain.periodic:
+        words += f"; space repeats along {' and '.join(domain.periodic)}"
+        if set("xyz"[: scene.dimensions]) <= set(domain.periodic):
+            return f"{words}, and there are no walls"
     young = scene.cells.young if domain.young is None else domain.young
     return f"{words}; its sides are elastic walls of {young:g} kPa"
 
