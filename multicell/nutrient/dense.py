@@ -78,8 +78,9 @@ def _both_ways(even: FloatArray, odd: FloatArray) -> Float32Array:
 def eigenvalues(n: int, ends: Ends) -> FloatArray:
     """Return the n eigenvalues of minus the second difference between two ends.
 
-    Where space repeats the angles are 2kπ/n for k = 0 ... n - 1. With values at both ends the angles are kπ/n for k = 1 ... n, with slopes at both for
-    k = 0 ... n - 1, and with one of each (k + 1/2)π/n.
+    With values at both ends the angles are kπ/n for k = 1 ... n, with slopes at both for
+    k = 0 ... n - 1, and with one of each (k + 1/2)π/n; where space repeats 2kπ/n for
+    k = 0 ... n - 1.
     """
     if ends is None:
         return np.asarray(4.0 * np.sin(np.pi * np.arange(n) / n) ** 2)

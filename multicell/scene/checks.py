@@ -18,6 +18,7 @@ from multicell.scene.scales import (
     largest_spacing,
     layer_height,
     level_fixed,
+    regime,
     repeating,
     touches_medium,
 )
@@ -165,6 +166,7 @@ def check_nutrients(scene: Scene) -> None:
             _check_oxygen(path, nutrient)
         _check_spacing(scene, path, nutrient)
         _check_sides(scene, path, nutrient)
+        _check_beginning(scene, name, path, nutrient)
         if nutrient.media is not None and nutrient.media[0][0] < 0.0:
             problem = f"begins at {nutrient.media[0][0]:g} s, before the run"
             raise SceneError(f"{path}.media", problem)
@@ -189,6 +191,18 @@ def _check_names(scene: Scene, path: str, nutrient: Nutrient) -> None:
         if not scene.nutrients[other].takes_up:
             hint = "What is secreted from a field's uptake needs that uptake."
             raise SceneError(f"{path}.secretion_from.{other}", "is a field with no uptake", hint)
+
+
+def _check_beginning(scene: Scene, name: str, path: str, nutrient: Nutrient) -> None:
+    """Check that what a field starts from and what is released have an effect."""
+    given = [f"release.{key}" for key in nutrient.release]
+    given += ["initial_formula"] if nutrient.initial_formula else []
+    if given and regime(scene, name) == "steady":
+        hint = "Let the field be 'transient'."
+        raise SceneError(f"{path}.{given[0]}", "has no effect: the field is steady", hint)
+    for key, release in nutrient.release.items():
+        if release.type:
+            check_names([release.type], scene.types, f"{path}.release.{key}.type", "a type")
 
 
 def _check_oxygen(path: str, nutrient: Nutrient) -> None:

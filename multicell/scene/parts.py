@@ -46,7 +46,12 @@ _stiffness = partial(quantity, "kPa", default=None, above=0, at_most=1e9)
 class CellParameters:
     """Size and elasticity of the cells."""
 
-    division_radius: float = quantity("um", default=5.0, above=0, doc="at which a cell divides")
+    division_radius: float = quantity(
+        "um",
+        default=5.0,
+        above=0,
+        doc="at which a cell divides; newborn cells, and all without growth, have 0.794 of it",
+    )
     young: float = quantity("kPa", default=1.0, above=0, doc="mean Young's modulus")
     young_variation: float = number(
         default=0.1, at_least=0, at_most=0.5, doc="coefficient of variation of Young's modulus"

@@ -247,8 +247,15 @@ def special():
         "chemotaxis": {"guide": {"force": "0.2 nN", "half": "1e-3 mM/um"}},
         "domain": {axis: [-20.0, 20.0] for axis in "xyz"} | {"periodic": ["x", "y"]},
         "nutrients": {"guide": {
-            "diffusion": "50 um^2/s", "boundary": "0.1 mM", "spacing": "10 um", "uptake": 0,
+            "diffusion": "50 um^2/s", "boundary": "0.1 mM", "spacing": "4 um", "uptake": 0,
             "secretion": "5 amol/s", "regime": "steady",
+        }, "drop": {
+            "diffusion": "5 um^2/s", "boundary": "0.1 mM", "spacing": "4 um", "uptake": "2 amol/s",
+            "regime": "transient", "initial_formula": "0.1 * step(x)",
+            "release": {
+                "there": {"amount": "40 amol", "time": "90 s", "place": [3, 2, 1], "radius": 4.0},
+                "cells": {"amount": "20 amol", "time": "60 s", "type": "a"},
+            },
         }},
     }  # fmt: skip
     growing = {name: scene[name] for name in ("duration", "coupling_step", "initial", "growth")}
@@ -352,6 +359,8 @@ TEXTS = {
     "motions.*.type": ["b"],
     "radiation.*.cells": ["b"],
     "radiation.*.oxygen": ["waste"],
+    "nutrients.*.initial_formula": ["0.2"],
+    "nutrients.*.release.*.type": ["b"],
     "responses.*.behaviour": ["rest", "speed", "growth rate"],
     "responses.*.cells": ["b"],
     "responses.*.signal": ["waste", "glucose", "oxygen"],

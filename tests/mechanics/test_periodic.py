@@ -1,4 +1,4 @@
-"""Space that repeats: forces, their derivatives and lists against copies of the cells side by side."""
+"""Space that repeats: forces, their derivatives and lists against copies side by side."""
 
 import itertools
 
@@ -113,7 +113,7 @@ def test_velocities_and_products_with_the_jacobian(friction):
     there, places = threefold(place, radius, young, ALL, Hertz())
     system = system_of(radius, young, Hertz(), period=ALL, friction=friction)
     vector = np.random.default_rng(4).normal(size=place.shape)
-    out, ahead, behind = (np.empty_like(place) for _ in range(3))
+    out = np.empty_like(place)
     system.linearise(0.0, place)
     system.jacobian_product(vector, out)
     if max(friction) == 0.0:

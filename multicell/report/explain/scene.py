@@ -206,9 +206,9 @@ def _taxis(scene: Scene) -> list[ExplainedPart]:
         way = "up" if law.force >= 0.0 else "down"
         what = f"a free cell drifts {way} a steep gradient at {speed:.3g} um/h"
         factors = [
-            f"{kind} {part.chemotaxis_of[name]:g}"
-            for kind, part in scene.types.items()
-            if name in (part.chemotaxis_of or {})
+            f"{kind} {kinds.chemotaxis_of[name]:g}"
+            for kind, kinds in scene.types.items()
+            if kinds.chemotaxis_of and name in kinds.chemotaxis_of
         ]
         what += f"; times, of {', '.join(factors)}" if factors else ""
         parts.append(part(f"chemotaxis.{name}", what))
