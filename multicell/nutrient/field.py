@@ -175,7 +175,7 @@ class NutrientField:
         return np.asarray(capacity * self.layout.gather(reached, rate, extent))
 
     def first_values(self, layout: Layout, time: float) -> float | FloatArray:
-        """Return what the field starts from on a layout, mM: its medium, or what a formula says.
+        """Return the first values on a layout, mM: of the medium, or of a formula.
 
         Raises NutrientFailed for values below zero or that are not finite.
         """
