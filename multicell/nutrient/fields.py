@@ -270,7 +270,8 @@ class FieldSystem:
         self.time = begin
         for name in self._released:
             near = _SAME_TIME * (end - begin)
-            self._release(name, cells if before is None else before, begin - near, end - near)
+            after = begin - near if begin > 0.0 else 0.0  # what was there at the start is there
+            self._release(name, cells if before is None else before, after, end - near)
         began: dict[str, Demand] = {}
         shares = np.zeros(0)
         if before is not None and self._marched:
