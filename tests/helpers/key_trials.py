@@ -250,8 +250,8 @@ def special():
             "diffusion": "50 um^2/s", "boundary": "0.1 mM", "spacing": "4 um", "uptake": 0,
             "secretion": "5 amol/s", "regime": "steady",
         }, "drop": {
-            "diffusion": "5 um^2/s", "boundary": "0.1 mM", "spacing": "4 um", "uptake": "2 amol/s",
-            "regime": "transient", "initial_formula": "0.1 * step(x)",
+            "diffusion": "0.5 um^2/s", "boundary": "0.1 mM", "spacing": "4 um",
+            "uptake": "2 amol/s", "initial_formula": "0.1 * step(x)",
             "release": {
                 "there": {"amount": "40 amol", "time": "90 s", "place": [3, 2, 1], "radius": 4.0},
                 "cells": {"amount": "20 amol", "time": "60 s", "type": "a"},

@@ -99,7 +99,7 @@ def test_a_release_spreads_as_a_point_source(time):
     ledger = run.summary()["ledger"]["signal"]
     assert ledger["released"] == pytest.approx(100.0, rel=1e-12)
     assert ledger["stored"] == pytest.approx(100.0, rel=1e-6)
-    assert ledger["relative_remainder"] < 1e-9
+    assert ledger["relative_remainder"] < 1e-8
     before = Simulation(scene).summary()["ledger"]["signal"].get("released")
     assert before == (pytest.approx(100.0) if time == "0 s" else None)
 
