@@ -120,7 +120,7 @@ def test_runs_with_releases_resume_exactly(tmp_path):
     from stored import assert_same_bits
 
     release = {"late": {"amount": "50 amol", "time": "5 min", "place": [30, 0, 0], "radius": 6.0},
-               "odd": {"amount": "10 amol", "time": "430 s", "place": [90, 10, 0]}}  # fmt: skip
+               "odd": {"amount": "10 amol", "time": "430 s", "place": [60, 10, 0]}}  # fmt: skip
     scene = scene_of({"initial_formula": "0.01 * step(x - 50)", "release": release})
     mc.run(scene, output=tmp_path / "whole", report=False)
     mc.run(scene.with_changes({"duration": "5 min"}), output=tmp_path / "part", report=False)
