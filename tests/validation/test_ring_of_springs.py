@@ -10,7 +10,7 @@ COUNT, STIFFNESS, VISCOSITY = 16, 2.0, 1.0
 
 
 def ring(mode, **integrator):
-    """Return a run of a ring that is closed by its space, and its first displacements, µm, with the rate that is due."""
+    """Return a run of a ring, its first displacements and places at rest, µm, and the rate due."""
     radius = 5.0 * 0.5 ** (1 / 3)
     length, drag = 2.0 * radius * COUNT, 6 * np.pi * VISCOSITY * radius
     rate = 4.0 * STIFFNESS / drag * np.sin(np.pi * mode / COUNT) ** 2
