@@ -90,6 +90,8 @@ def begins_alone(scene: Scene) -> bool:
     moved = (scene.motility, scene.surface, scene.pull, scene.domain)
     if moved != (None,) * len(moved) or scene.chemotaxis or scene.motions or scene.networks:
         return False
+    if not scene.contact.acts:
+        return False
     return ":" not in scene.to_dict()["contact"]["law"]
 
 

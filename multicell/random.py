@@ -55,6 +55,7 @@ class Purpose(IntEnum):
     ASYMMETRY = 22
     NETWORK = 23
     NETWORK_DIVISION = 24
+    BROWNIAN = 25
 
 
 def philox(counter: UIntArray, key: tuple[int, int]) -> UIntArray:

@@ -48,3 +48,25 @@ def second_moments(vectors: FloatArray, weights: FloatArray) -> FloatArray:
     found = np.empty((3, 3))
     found[row, column] = found[column, row] = (columns[row] * columns[column] * weights).sum(axis=1)
     return found
+
+
+def wrapped(position: FloatArray, period: FloatArray) -> FloatArray:
+    """Return the images of places (n, 3) that lie between zero and the period, (3,) µm.
+
+    A period of zero: space does not repeat along this axis.
+    """
+    inverse = np.divide(1.0, period, out=np.zeros(3), where=period > 0.0)
+    inside = position - period * np.floor(position * inverse)
+    # what lies below zero by rounding is at the other end
+    return np.where((inside >= period) & (period > 0.0), 0.0, inside)
+
+
+def nearest_differences(
+    first: FloatArray, second: FloatArray, period: FloatArray | None
+) -> FloatArray:
+    """Return the ways from places (n, 3) to the nearest images of others, µm."""
+    way = second - first
+    if period is None:
+        return way
+    inverse = np.divide(1.0, period, out=np.zeros(3), where=period > 0.0)
+    return np.asarray(way - period * np.floor(way * inverse + 0.5))

@@ -62,6 +62,21 @@ CASES = {
         "doublet",
         {"contact.law": "exact-jkr", "duration": "40 min", "output.every": "12 min"},
     ),
+    "walkers that do not touch": ("growth", {
+        **GROWING, "contact": {"law": "none"}, "motility": {"force": "1 nN"},
+    }),
+    "Brownian motion": ("growth", {
+        **GROWING, "duration": "2 h", "output.every": "35 min", "coupling_step": "7 min",
+        "motility": {"diffusion": "0.005 um^2/s", "diffusion_step": "2 min"},
+        "types": {"a": {}, "b": {"diffusion_scale": 3}},
+    }),
+    "space that repeats": ("growth", {
+        **GROWING, "domain": {"x": [-20, 20], "y": [-20, 20], "z": [-30, 30],
+                              "periodic": ["x", "y"]},
+        "types": {"a": {}, "b": {}}, "motility": {"force": "3 nN"},
+        "nutrients": {"oxygen": {"boundary": 0.2, "regime": "transient", "spacing": 10.0,
+                                 "uptake": 2.0}},
+    }),
     "a finite medium and a reaction": ("growth", {
         **GROWING, "duration": "2 h", "output.every": "30 min", "nutrients": {
             "a": {"boundary": 0.05, "uptake": 2.0, "finite_medium": {"volume": 1e7},

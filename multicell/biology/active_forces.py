@@ -125,14 +125,23 @@ def chemotactic_force(plan: BiologyPlan, cells: Cells, gradients: Signals) -> Fl
     """Return the force along the gradients of fields, (n, 3) nN.
 
     F = force ∇c / (|∇c| + half): proportional to small gradients, and of constant size in steep
-    ones, where receptors are saturated.
+    ones, where receptors are saturated; times the factor of the cell's type.
     """
     total = np.zeros((len(cells), 3))
     for name, law in plan.chemotaxis.items():
         gradient = gradients[name]
         steepness = np.linalg.norm(gradient, axis=1, keepdims=True)
-        total += law.force * gradient / (steepness + law.half)
+        force = law.force * gradient / (steepness + law.half)
+        factor = plan.chemotaxis_of.get(name)
+        total += force if factor is None else factor[cells.kind, None] * force
     return total
+
+
+def diffusion_of(plan: BiologyPlan, cells: Cells) -> FloatArray | None:
+    """Return the diffusion of each cell by Brownian motion, (n,) µm²/s, or None; dead ones rest."""
+    if plan.diffusion is None:
+        return None
+    return np.where(cells.dead, 0.0, plan.diffusion[cells.kind])
 
 
 def pulling_force(plan: BiologyPlan, cells: Cells, time: float) -> FloatArray:
@@ -160,10 +169,11 @@ def push(
     Only living cells move by themselves, each type as actively as its ``motility_scale`` and the
     responses of its ``speed`` to the signals ``signals`` say.
     """
-    if plan.motility is None and not plan.chemotaxis and plan.pull is None:
+    pushes = plan.motility is not None and plan.motility.pushes
+    if not pushes and not plan.chemotaxis and plan.pull is None:
         return None
     total = np.zeros((len(cells), 6))
-    if plan.motility is not None:
+    if pushes:
         total[:, :3] += active_force(plan, cells, time, gradients, signals)
     if plan.chemotaxis:
         total[:, :3] += chemotactic_force(plan, cells, gradients)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multicell.biology.active_forces import push
+from multicell.biology.active_forces import diffusion_of, push
 from multicell.biology.driven import Named, prescribed
 from multicell.biology.responding import value_of
 from multicell.biology.surface import surface_force
@@ -65,6 +65,7 @@ def motion_of(
         held=held,
         velocity=velocity,
         newborn=cells.age < length,
+        diffusion=diffusion_of(plan, cells),
     )
 
 

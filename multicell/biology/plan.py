@@ -70,10 +70,14 @@ class BiologyPlan:
     - ``types``: by name; empty where all cells are alike
     - ``cycle_scale``, ``motility_scale``, ``young_ratio``, (types,) or None: factors of each type;
       None where they are all 1
+    - ``chemotaxis_of``, field -> (types,): factors of types on its force; those that are all 1 are
+      left out
+    - ``diffusion``, (types or 1,) µm²/s, or None: of Brownian motion
     - ``doubling``, (types or 1,) s, or None: time in which volumes double, for all cells of a type;
       None where it follows from the phases that each cell draws
     - ``target_scale``, (5,) or None: of the volumes that growth goes to, for each phase
     - ``solubility``, field -> mM/kPa: of oxygen, in the fields that say what irradiation does
+    - ``period``, (3,) µm, or None: lengths after which space repeats, see Domain.period
     - ``cells`` to ``motions``: parts of the scene that hold nothing but numbers and names
     """
 
@@ -103,10 +107,13 @@ class BiologyPlan:
     types: Mapping[str, CellType]
     cycle_scale: FloatArray | None
     motility_scale: FloatArray | None
+    chemotaxis_of: Mapping[str, FloatArray]
+    diffusion: FloatArray | None
     young_ratio: FloatArray | None
     doubling: FloatArray | None
     target_scale: FloatArray | None
     solubility: Mapping[str, float]
+    period: FloatArray | None
     cells: CellParameters
     radiation: Mapping[str, Radiation]
     contact: PairLaw
@@ -175,11 +182,18 @@ def biology_plan(scene: Scene) -> BiologyPlan:
         inflow=scene.drag.viscosity if scene.death is not None and scene.death.inflow else 0.0,
         surface_tension=0.0 if scene.surface is None else scene.surface.tension,
         cycle_scale=np.array([kind.cycle_scale for kind in kinds]) if kinds else None,
+        chemotaxis_of={
+            name: np.array([(kind.chemotaxis_of or {}).get(name, 1.0) for kind in kinds])
+            for name in scene.chemotaxis
+            if any(name in (kind.chemotaxis_of or {}) for kind in kinds)
+        },
+        diffusion=_diffusion(scene),
         motility_scale=np.array([kind.motility_scale for kind in kinds]) if kinds else None,
         young_ratio=np.array(ratio) if any(own) else None,
         doubling=_doubling(growth, kinds),
         target_scale=None if growth is None else growth.target_scales,
         solubility={name: oxygen_solubility(scene.nutrients[name].temperature) for name in oxygen},
+        period=None if scene.domain is None else scene.domain.period,
         growth=growth,
         **{name: getattr(scene, name) for name in _OF_SCENE},
     )
@@ -194,6 +208,15 @@ def founders(scene: Scene) -> int:
         return initial.count
     given = initial.cells.given
     return int(given.columns["id"].max()) + 1 if "id" in given.columns else len(given)
+
+
+def _diffusion(scene: Scene) -> FloatArray | None:
+    """Return the diffusion of cells of each type by Brownian motion, (types or 1,) µm²/s."""
+    law = scene.motility
+    if law is None or law.diffusion is None:
+        return None
+    scales = [kind.diffusion_scale for kind in scene.types.values()] or [1.0]
+    return law.diffusion * np.array(scales)
 
 
 def _doubling(growth: Growth | None, kinds: list[CellType]) -> FloatArray | None:

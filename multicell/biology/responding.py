@@ -35,7 +35,7 @@ from multicell.behaviours.catalogue import CONTACTS, FULL_CROWDING, PHASE, needs
 from multicell.cells import Phase, contact_rows
 from multicell.random import Purpose
 from multicell.scene.responses import Effect, effects
-from multicell.vectors import lengths
+from multicell.vectors import lengths, nearest_differences, wrapped
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
@@ -341,18 +341,18 @@ def other_signals(
     if not counted:
         return out
     if plan.networks is not None:
-        near = partial(_touching, cells, contacts)
+        near = partial(_touching, cells, plan.period, contacts)
         out |= plan.networks.signals(counted, cells, time, near)
         counted = frozenset(name for name in counted if "." not in name)
         if not counted:
             return out
-    pairs = _touching(cells, contacts)
+    pairs = _touching(cells, plan.period, contacts)
     first, second = np.concatenate([pairs, pairs[:, ::-1]]).T
     names = list(plan.types)
     for name in sorted(counted):
         who, weight = np.ones(len(first), dtype=bool), None
         if name == "crowding":
-            weight = _overlap(cells, first, second) ** 2 / FULL_CROWDING
+            weight = _overlap(cells, first, second, plan.period) ** 2 / FULL_CROWDING
         elif name == "dead neighbours":
             who = cells.dead[second]
         elif name == "neighbours":
@@ -364,19 +364,21 @@ def other_signals(
     return out
 
 
-def _touching(cells: Cells, contacts: IntArray) -> IntArray:
+def _touching(cells: Cells, period: FloatArray | None, contacts: IntArray) -> IntArray:
     """Return the rows of the cells that touch, (m, 2), those that were born since too."""
-    return np.concatenate([contact_rows(cells, contacts), _of_newborn(cells)])
+    return np.concatenate([contact_rows(cells, contacts), _of_newborn(cells, period)])
 
 
-def _overlap(cells: Cells, first: IntArray, second: IntArray) -> FloatArray:
+def _overlap(
+    cells: Cells, first: IntArray, second: IntArray, period: FloatArray | None
+) -> FloatArray:
     """Return the overlap of pairs of cells over the sum of their radii, (m,), zero if apart."""
-    distance = lengths(cells.position[first] - cells.position[second])
+    distance = lengths(nearest_differences(cells.position[second], cells.position[first], period))
     reach = cells.radius[first] + cells.radius[second]
     return np.asarray(np.maximum(1.0 - distance / reach, 0.0))
 
 
-def _of_newborn(cells: Cells) -> IntArray:
+def _of_newborn(cells: Cells, period: FloatArray | None) -> IntArray:
     """Return the pairs that overlap of which one cell has just been born, (m, 2) rows."""
     born = np.flatnonzero((cells.age == 0.0) & (cells.parent >= 0) & ~cells.dead)
     if not born.size:
@@ -384,10 +386,11 @@ def _of_newborn(cells: Cells) -> IntArray:
     from scipy.spatial import cKDTree
 
     reach = cells.radius[born] + float(cells.radius.max())
-    near = cKDTree(cells.position).query_ball_point(cells.position[born], reach)
+    place = cells.position if period is None else wrapped(cells.position, period)
+    near = cKDTree(place, boxsize=period).query_ball_point(place[born], reach)
     first = np.repeat(born, [len(rows) for rows in near])
     second = np.concatenate([np.asarray(rows, dtype=np.int64) for rows in near])
-    distance = lengths(cells.position[first] - cells.position[second])
+    distance = lengths(nearest_differences(cells.position[second], cells.position[first], period))
     newborn = np.isin(second, born)
     # a pair of two newborn cells is found from both sides
     keep = (distance < cells.radius[first] + cells.radius[second]) & (first != second)

@@ -63,11 +63,13 @@ class PairLaw(ABC):
     - ``scales``: whether larger cells with parameters scaled by their dimensions follow the same
       law, F(f h, f r) = f² F
     - ``without_adhesion``: in words, what the law becomes where nothing attracts
+    - ``acts``: whether cells act on each other at all; where not, there are no lists of pairs
     """
 
     surface_energy: float = 0.0
     scales: ClassVar[bool] = True
     without_adhesion: ClassVar[str] = ""
+    acts: ClassVar[bool] = True
 
     @property
     def is_sticky(self) -> bool:

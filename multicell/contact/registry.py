@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from multicell.contact.exact_jkr import ExactJKR
 from multicell.contact.hertz import Hertz
 from multicell.contact.jkr import JKR
+from multicell.contact.none import NoContact
 from multicell.contact.physicell import PhysiCell
 from multicell.contact.springs import CubicSpring, GeneralisedLinearSpring, LinearSpring
 from multicell.plugins.laws import Laws
@@ -24,6 +25,7 @@ CONTACT_LAWS: Laws[PairLaw] = Laws(
         "cubic": CubicSpring,
         "generalised-linear": GeneralisedLinearSpring,
         "physicell": PhysiCell,
+        "none": NoContact,
     }
 )
 """All pair laws; those of the user's own are entered by :func:`multicell.pair_law`."""

@@ -41,10 +41,11 @@ def needs_python(system: Mechanics) -> bool:
 
     Exact JKR and surface energies between types keep values for each pair, which are made
     in Python with each neighbour list, friction solves a linear system, and walls, prescribed
-    motion and resistance to compression are parts that scenes without them do not load. The loops
+    motion, resistance to compression and space that repeats are parts that scenes without them do
+    not load. The loops
     are the same then, uncompiled around compiled arithmetic.
     """
-    optional = (system.walls, system.prescribed, system.compression)
+    optional = (system.walls, system.prescribed, system.compression, system.period)
     in_python = max(system.friction) > 0.0 or any(x is not None for x in optional)
     return system.has_pair_values or in_python
 

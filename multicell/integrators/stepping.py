@@ -226,7 +226,7 @@ def _evaluation(source, pairs, elapsed, position, out):
         source.counts[LIST_REPAIRS if found == updating.REPAIRED else LIST_BUILDS] += 1
         if found == updating.TOO_CROWDED:
             return REJECTED, pairs
-        pairs = forces.PairData(*listed, pairs.sticky, pairs.unit, pairs.onset)
+        pairs = forces.PairData(*listed, pairs.sticky, pairs.unit, pairs.onset, pairs.period)
     return DONE, pairs
 
 

@@ -58,6 +58,7 @@ def _overlap(rows, pairs, p):
     """Return π r_ij, the overlap (0 without) and the vector of a pair, µm, and its length."""
     i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
     dx, dy, dz = rows[j, 0] - rows[i, 0], rows[j, 1] - rows[i, 1], rows[j, 2] - rows[i, 2]
+    dx, dy, dz = forces.nearest_image(pairs.period, dx, dy, dz)
     total, square = rows[i, RADIUS] + rows[j, RADIUS], dx * dx + dy * dy + dz * dz
     if square >= total * total:
         return 0.0, 0.0, dx, dy, dz, 1.0

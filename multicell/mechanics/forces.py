@@ -61,6 +61,8 @@ class PairData(NamedTuple):
 
     ``sticky`` is √(6πσ_ij), ``unit`` (2, m) the law's unit of overlap and its rate, µm and
     µm/s, ``onset`` the overlap in that unit from which there is contact (-3 or 0 for exact JKR).
+    ``period``, (2, 3), are the lengths in µm after which space repeats along x, y, z, and their
+    inverses, both zero where it does not; None where it nowhere does.
     """
 
     first: NDArray[np.int32]
@@ -71,6 +73,7 @@ class PairData(NamedTuple):
     sticky: NDArray[np.float64] | None
     unit: NDArray[np.float64] | None
     onset: NDArray[np.float64] | None
+    period: NDArray[np.float64] | None = None
 
 
 _DX, _DY, _DZ, _TOTAL, _PRODUCT, _SOFT, _BONDS, _FORCE, _SLOPE = range(9)
@@ -95,6 +98,17 @@ def _unit_at(unit, place, elapsed):
     if unit is None:
         return 1.0
     return unit[0, place] + unit[1, place] * elapsed
+
+
+@njit(**INLINED)
+def nearest_image(period, dx, dy, dz):
+    """Return the difference of two places to the nearest image of the second one, µm."""
+    if period is None:
+        return dx, dy, dz
+    dx -= period[0, 0] * np.floor(dx * period[1, 0] + 0.5)
+    dy -= period[0, 1] * np.floor(dy * period[1, 1] + 0.5)
+    dz -= period[0, 2] * np.floor(dz * period[1, 2] + 0.5)
+    return dx, dy, dz
 
 
 @njit(**INLINED)
@@ -298,7 +312,19 @@ def _gather(rows, pairs, bond, begin, count, block):
         block[_TOTAL, p] = rows[i, RADIUS] + rows[j, RADIUS]
         block[_PRODUCT, p] = rows[i, RADIUS] * rows[j, RADIUS]
         block[_SOFT, p] = rows[i, COMPLIANCE] + rows[j, COMPLIANCE]
+    _take_nearest(pairs.period, count, block)
     _gather_bonds(rows, pairs, bond, begin, count, block)
+
+
+@njit(**INLINED)
+def _take_nearest(period, count, block):
+    """Let the differences of a block be those to the nearest images."""
+    if period is None:
+        return
+    for axis in range(3):
+        length, inverse = period[0, axis], period[1, axis]
+        for p in range(count):
+            block[_DX + axis, p] -= length * np.floor(block[_DX + axis, p] * inverse + 0.5)
 
 
 @njit(**INLINED)
@@ -436,16 +462,17 @@ forces, forces_parallel = two_drivers(_forces)
 
 
 @njit(**INLINED)
-def _vector(rows, i, j):
-    """Return the vector from cell i to cell j and its length, µm."""
+def _vector(rows, i, j, period):
+    """Return the vector from cell i to the nearest image of cell j and its length, µm."""
     dx, dy, dz = rows[j, 0] - rows[i, 0], rows[j, 1] - rows[i, 1], rows[j, 2] - rows[i, 2]
+    dx, dy, dz = nearest_image(period, dx, dy, dz)
     return dx, dy, dz, math.sqrt(dx * dx + dy * dy + dz * dz + SHORTEST)
 
 
 @njit(**INLINED)
 def _energy_between(rows, i, j, pairs, p, law, elapsed):
     """Return the energy of two cells, whose pair stands at place ``p``."""
-    d = _vector(rows, i, j)[3]
+    d = _vector(rows, i, j, pairs.period)[3]
     total = rows[i, RADIUS] + rows[j, RADIUS]
     h, radius = total - d, rows[i, RADIUS] * rows[j, RADIUS] / total
     _, _, energy = evaluate_pair(
@@ -523,7 +550,7 @@ def mark_contacts(rows, pairs, elapsed, out):
             i, j = pairs.first[p], pairs.second[p]
             if p >= pairs.inner_end[c] and j < i:
                 continue
-            h = rows[i, RADIUS] + rows[j, RADIUS] - _vector(rows, i, j)[3]
+            h = rows[i, RADIUS] + rows[j, RADIUS] - _vector(rows, i, j, pairs.period)[3]
             out[p] = _touches(h, pairs.unit, pairs.onset, p, elapsed)
 
 
@@ -559,9 +586,9 @@ def _attraction(rows, i, j, pairs, p, law, elapsed, overlap):
 
 
 @njit(**INLINED)
-def _approach(place, speed, i, j, growth):
+def _approach(place, speed, i, j, growth, period):
     """Return the distance of two centres, and at what speed the gap of their spheres narrows."""
-    dx, dy, dz, d = _vector(place, i, j)
+    dx, dy, dz, d = _vector(place, i, j, period)
     along = dx * (speed[j, 0] - speed[i, 0]) + dy * (speed[j, 1] - speed[i, 1])
     along += dz * (speed[j, 2] - speed[i, 2])
     return d, growth - along / d
@@ -578,6 +605,7 @@ def pairs_about_to_touch(pairs, rows, elapsed, horizon, places):
         for p in range(pairs.start[c], pairs.outer_end[c]):
             i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
             dx, dy, dz = rows[j, 0] - rows[i, 0], rows[j, 1] - rows[i, 1], rows[j, 2] - rows[i, 2]
+            dx, dy, dz = nearest_image(pairs.period, dx, dy, dz)
             reach = rows[i, RADIUS] + rows[j, RADIUS]
             reach -= _begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
             low, square = max(reach - horizon, 0.0), dx * dx + dy * dy + dz * dz
@@ -606,6 +634,7 @@ def missed_contact(
         i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
         dx, dy = before[j, 0] - before[i, 0], before[j, 1] - before[i, 1]
         dz = before[j, 2] - before[i, 2]
+        dx, dy, dz = nearest_image(pairs.period, dx, dy, dz)
         reach = cells.radius[i] + cells.radius[j]
         reach += (cells.radius_rate[i] + cells.radius_rate[j]) * elapsed
         reach -= _begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
@@ -616,6 +645,7 @@ def missed_contact(
         dx -= after[j, 0] - after[i, 0]
         dy -= after[j, 1] - after[i, 1]
         dz -= after[j, 2] - after[i, 2]
+        dx, dy, dz = nearest_image(pairs.period, dx, dy, dz)
         closer = 2.0 * math.sqrt(dx * dx + dy * dy + dz * dz) + tolerance
         closer += (cells.radius_rate[i] + cells.radius_rate[j]) * step
         if math.sqrt(square) - reach > closer:
@@ -664,9 +694,9 @@ def _part_taken(
     growth = cells.radius_rate[i] + cells.radius_rate[j]
     begin = _begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
     reach = cells.radius[i] + cells.radius[j] + growth * elapsed
-    gap, narrowing = _approach(before, speed, i, j, growth)
+    gap, narrowing = _approach(before, speed, i, j, growth, pairs.period)
     gap -= reach - begin
-    end, end_narrowing = _approach(after, end_speed, i, j, growth)
+    end, end_narrowing = _approach(after, end_speed, i, j, growth, pairs.period)
     end -= reach + growth * step - begin
     dip = 0.15 * step * (max(narrowing, 0.0) + max(-end_narrowing, 0.0))
     nearest = min(min(gap, end) - dip, gap - step * max(narrowing, end_narrowing))

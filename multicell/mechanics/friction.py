@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from multicell.compiling import KERNEL
 from multicell.compiling.threads import two_drivers
+from multicell.mechanics.forces import nearest_image
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.neighbours import PairList
 from multicell.mechanics.rows import RADIUS, SHORTEST
@@ -82,7 +83,7 @@ class Vectors(NamedTuple):
 
 
 @njit(**KERNEL)
-def _touching(begin, end, at, rows, first, second, normal, tangential, near, link):
+def _touching(begin, end, at, rows, first, second, period, normal, tangential, near, link):
     """Append the touching pairs of ``begin:end`` at place ``at``; return the next place.
 
     The write is unconditional and only the count depends on the test: no branch to
@@ -94,6 +95,7 @@ def _touching(begin, end, at, rows, first, second, normal, tangential, near, lin
         dx = rows[j, 0] - rows[i, 0]
         dy = rows[j, 1] - rows[i, 1]
         dz = rows[j, 2] - rows[i, 2]
+        dx, dy, dz = nearest_image(period, dx, dy, dz)
         gap = rows[i, RADIUS] + rows[j, RADIUS]
         d = math.sqrt(dx * dx + dy * dy + dz * dz + SHORTEST)
         w = 1.0 / (d * gap)
@@ -112,7 +114,9 @@ def _touching(begin, end, at, rows, first, second, normal, tangential, near, lin
 
 
 @njit(**KERNEL)
-def _measure_chunk(c, gamma, first, second, inner_end, outer_end, rows, normal, tangential, drag):
+def _measure_chunk(
+    c, gamma, first, second, inner_end, outer_end, period, rows, normal, tangential, drag
+):
     """Store the touching pairs of one chunk and 1 / mean diagonal of Γ of its cells."""
     start, ends, near, link = gamma.start[c], gamma.ends, gamma.near, gamma.link
     inverse = gamma.inverse
@@ -120,7 +124,7 @@ def _measure_chunk(c, gamma, first, second, inner_end, outer_end, rows, normal, 
     for side in range(2):
         begin = start if side == 0 else inner_end[c]
         end = inner_end[c] if side == 0 else outer_end[c]
-        at = _touching(begin, end, at, rows, first, second, normal, tangential, near, link)
+        at = _touching(begin, end, at, rows, first, second, period, normal, tangential, near, link)
         ends[c, side] = at
     low, high = c * gamma.chunk, min((c + 1) * gamma.chunk, rows.shape[0])
     for i in range(low, high):
@@ -253,11 +257,11 @@ def _sum(part, k):
     return total
 
 
-def _measure(gamma, first, second, inner_end, outer_end, rows, normal, tangential, drag):
+def _measure(gamma, first, second, inner_end, outer_end, period, rows, normal, tangential, drag):
     """Store Γ at the state in ``rows``: touching pairs, Stokes drag, inverse diagonal."""
     for c in prange(gamma.start.size):
         _measure_chunk(
-            c, gamma, first, second, inner_end, outer_end, rows, normal, tangential, drag
+            c, gamma, first, second, inner_end, outer_end, period, rows, normal, tangential, drag
         )
 
 
@@ -310,6 +314,7 @@ class FrictionMatrix:
       in a chunk
     - ``tolerance``: Γ v = F is solved to |F - Γ v| <= tolerance |F| (Euclidean norms over all
       cells)
+    - ``period``: see :class:`.forces.PairData`
     """
 
     def __init__(
@@ -320,9 +325,10 @@ class FrictionMatrix:
         chunk: int,
         *,
         tolerance: float = 1e-6,
+        period: FloatArray | None = None,
     ) -> None:
         self.coefficients, self.drag, self.chunk = coefficients, drag, chunk
-        self.tolerance = tolerance
+        self.tolerance, self._period = tolerance, period
         self._stokes, self._inverse = np.empty(n), np.empty(n)
         self._work = Vectors(*(np.empty((n, 3)) for _ in range(5)))
         self._pairs: PairList | None = None
@@ -359,6 +365,7 @@ class FrictionMatrix:
             pairs.first,
             pairs.second,
             *ends,
+            self._period,
             rows,
             normal,
             tangential,
@@ -426,11 +433,19 @@ class PairFriction:
 
     - ``coefficients``: friction per contact area along the line of centres and across it, nN s/µm³
     - ``n``, ``drag``, ``chunk``: number of cells, 6πη in kPa·s, and cells in a chunk
+    - ``period``: see :class:`.forces.PairData`
     """
 
-    def __init__(self, coefficients: tuple[float, float], n: int, drag: float, chunk: int) -> None:
-        self._present = FrictionMatrix(coefficients, n, drag, chunk)
-        self._linearised = FrictionMatrix(coefficients, n, drag, chunk)
+    def __init__(
+        self,
+        coefficients: tuple[float, float],
+        n: int,
+        drag: float,
+        chunk: int,
+        period: FloatArray | None = None,
+    ) -> None:
+        self._present = FrictionMatrix(coefficients, n, drag, chunk, period=period)
+        self._linearised = FrictionMatrix(coefficients, n, drag, chunk, period=period)
         self._last = np.zeros((n, 3))
         self._product = np.empty((n, 3))
         self.force = np.empty((n, 3))

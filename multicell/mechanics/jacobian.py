@@ -149,7 +149,11 @@ def sparsity(position: FloatArray, system: Mechanics, margin: float) -> Any:
     from scipy.sparse import csc_matrix, kron
 
     largest = np.maximum(system.motion.radius, system.motion.end_radius)
-    near = neighbours.build(position, largest, margin * float(largest.mean()))
+    skin = margin * float(largest.mean())
+    if system.period is None:
+        near = neighbours.build(position, largest, skin)
+    else:
+        near = neighbours.build_periodic(position, largest + 0.5 * skin, system.period)
     place, _ = _places(near)
     first, second, own = near.first[place], near.second[place], np.arange(near.n)
     row, column = np.concatenate([first, second, own]), np.concatenate([second, first, own])

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, final
+from dataclasses import dataclass, replace
+from typing import Any, Final, final
 
+import numpy as np
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 
 _LIST = 7  # evaluations that a neighbour list costs; one for a repair
+
+
+_LEAST_GROWTH: Final = 1e-4  # of radii in a step, below which a series has all digits
 
 
 class StateRejected(Exception):  # noqa: N818 - what happened to a trial state, not a fault
@@ -70,6 +74,8 @@ class Motion:
       where ``held`` is
     - ``newborn``, (n,) bool, optional: daughters of the step before. They part first of all, and
       the neighbour list has room for that.
+    - ``diffusion``, (n,), optional: diffusion of free cells by Brownian motion, µm²/s. Forces do
+      not hold it: :meth:`part` makes one of it that is constant over an internal step.
     """
 
     radius: FloatArray
@@ -85,8 +91,66 @@ class Motion:
     held: NDArray[Any] | None = None
     velocity: FloatArray | None = None
     newborn: NDArray[Any] | None = None
+    diffusion: FloatArray | None = None
 
     @property
     def end_radius(self) -> FloatArray:
         """Radius at ``end``, (n,) µm."""
         return self.radius + self.radius_rate * (self.end - self.begin)
+
+    def part(
+        self, begin: float, end: float, drag: float, move: FloatArray, touching: NDArray[Any] | None
+    ) -> Motion:
+        """Return the motion between two times within it, with a force that moves free cells so.
+
+        - ``drag``: 6πη, kPa·s
+        - ``move``, (n, 3) µm: of free cells until ``end``, at a constant speed
+        - ``touching``: as in :class:`Motion`, at ``begin``
+        """
+        passed = begin - self.begin
+        radius = self.radius + passed * self.radius_rate
+        push = np.zeros((len(radius), 6)) if self.push is None else self.push.copy()
+        push[:, :3] += passed * push[:, 3:]
+        speed = move / (end - begin)
+        push[:, :3] += drag * radius[:, None] * speed
+        push[:, 3:] += drag * self.radius_rate[:, None] * speed
+        bonds = self.bonds
+        if bonds is not None:
+            bonds = bonds.copy()
+            bonds[:, :2] += passed * bonds[:, 2:]
+        return replace(
+            self,
+            radius=radius,
+            begin=begin,
+            end=end,
+            push=push,
+            bonds=bonds,
+            touching=touching,
+            newborn=self.newborn if passed == 0.0 else None,
+            diffusion=None,
+        )
+
+    def drift(self, drag: float) -> FloatArray:
+        """Return how far cells move by external forces and prescribed motion alone, (n, 3) µm.
+
+        The integral of F(t) / (6πη r(t)) with both running linearly in time.
+
+        - ``drag``: 6πη, kPa·s
+        """
+        length, out = self.end - self.begin, np.zeros((len(self.radius), 3))
+        if self.push is not None:
+            growth = self.radius_rate * length / self.radius
+            # ∫ 1 / (1 + g s) ds and ∫ s / (1 + g s) ds over 0 ... 1
+            first, second = np.ones_like(growth), np.full_like(growth, 0.5)
+            few = np.abs(growth) > _LEAST_GROWTH
+            first[few] = np.log1p(growth[few]) / growth[few]
+            second[few] = (1.0 - first[few]) / growth[few]
+            # the next terms of the series are below rounding
+            rest = growth[~few]
+            first[~few] = 1.0 + rest * (-1.0 / 2.0 + rest * (1.0 / 3.0 - rest / 4.0))
+            second[~few] = 1.0 / 2.0 + rest * (-1.0 / 3.0 + rest * (1.0 / 4.0 - rest / 5.0))
+            out = first[:, None] * self.push[:, :3] + (length * second)[:, None] * self.push[:, 3:]
+            out *= (length / (drag * self.radius))[:, None]
+        if self.held is not None and self.velocity is not None:
+            out = np.where(self.held[:, None], self.velocity * length, out)
+        return np.asarray(out)

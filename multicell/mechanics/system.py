@@ -100,6 +100,8 @@ class Mechanics:
       of the law's surface energy
     - ``walls``, optional: elastic walls that the cells press against
     - ``compression``, optional: many-body resistance to compression
+    - ``period``, (3,), µm, optional: lengths after which space repeats along x, y and z; zero where
+      it does not
     """
 
     law: PairLaw
@@ -113,12 +115,17 @@ class Mechanics:
     surface_energies: FloatArray | None = None
     walls: Walls | Sphere | None = None
     compression: TissueCompression | None = None
+    period: FloatArray | None = None
     work: Work = field(default_factory=Work)
 
     def __post_init__(self) -> None:
         if self.threads > 1:
             launch()
         self.drag = stokes_drag(self.viscosity)
+        self._period = None if self.period is None else np.zeros((2, 3))
+        if self.period is not None and self._period is not None:
+            self._period[0] = self.period
+            np.divide(1.0, self.period, out=self._period[1], where=self.period > 0.0)
         self.neighbours = NeighbourList(np.empty(0), 0.0)
         self._cells: forces.CellData
         self._pair_data: forces.PairData
@@ -150,7 +157,11 @@ class Mechanics:
             newborn=motion.newborn,
             room=self.neighbours.release(n),
             shared=self.shared(-(-n // self.chunk)),
+            period=self.period,
         )
+        if not self.law.acts:
+            self.neighbours.hold_no_pairs()
+            self._pair_data = forces.PairData(*self.neighbours.hand_out(), None, None, None)
         self._cells = forces.CellData(
             self.chunk,
             self.neighbours.margin,
@@ -169,12 +180,21 @@ class Mechanics:
         if max(self.friction) > 0.0:
             from multicell.mechanics.friction import PairFriction
 
-            self._pair_friction = PairFriction(self.friction, n, self.drag, self.chunk)
+            self._pair_friction = PairFriction(
+                self.friction, n, self.drag, self.chunk, self._period
+            )
         self.prescribed = None
         if motion.held is not None and motion.velocity is not None:
             from multicell.mechanics.prescribed import Prescribed
 
             self.prescribed = Prescribed(motion.held, motion.velocity, motion.begin)
+
+    @property
+    def _is_too_wide(self) -> bool:
+        """Whether a cell may be in reach of two images of another one."""
+        if self.period is None:
+            return False
+        return bool(self.neighbours.reach.max() > 0.25 * self.period[self.period > 0.0].min())
 
     def _list_radius(self, radius: FloatArray) -> FloatArray:
         """Return half of the distances within which cells matter to each other, (n,) µm."""
@@ -384,6 +404,9 @@ class Mechanics:
         Contact means an overlap above zero; under exact JKR a pair that was in contact at the
         step's beginning stays so until it breaks.
         """
+        if not self.law.acts:
+            radius = self.motion.radius + self.motion.radius_rate * (time - self.motion.begin)
+            return neighbours.overlapping_pairs(position, radius, self.period)
         pairs = self._settle(time, position)
         marked = np.empty(len(pairs.first), dtype=np.bool_)
         elapsed = time - self.motion.begin
@@ -536,6 +559,10 @@ class Mechanics:
         """Bring the neighbour list to a state, with what the law keeps for each pair."""
         if not np.isfinite(position).all():
             raise StateRejected("a position is not a number")
+        if self._is_too_wide:
+            raise StateRejected(
+                "cells reach farther than a quarter of the domain's shortest period"
+            )
         found = self.neighbours.update(position)
         repaired = found == neighbours.REPAIRED
         self.work.list_repairs += repaired
@@ -547,6 +574,8 @@ class Mechanics:
         self._pair_data = pair_values.pair_data(
             pairs, self.law, self.motion, self.surface_energies, self._rows[:, COMPLIANCE]
         )
+        if self._period is not None:
+            self._pair_data = self._pair_data._replace(period=self._period)
         return pairs
 
     @property

@@ -106,6 +106,7 @@ class Ledger:
     - ``changes``: how many changes of the medium have been done
     - ``made``, ``used``, float or None: by reactions with other fields, what they make of it and
       take from it at each place; None where there are none
+    - ``released``, float or None: at once, as the scene states; None where nothing was
     """
 
     inflow: float = 0.0
@@ -125,6 +126,7 @@ class Ledger:
     changes: float = 0
     made: float | None = None
     used: float | None = None
+    released: float | None = None
 
     def copy(self) -> Ledger:
         """Return the same account, to be continued."""
@@ -138,7 +140,7 @@ class Ledger:
             name: value
             for name, value in asdict(self).items()
             if (name not in _MEDIUM or self.held is not None)
-            and (name not in _WHERE_ANY or value is not None)
+            and (name not in (*_WHERE_ANY, "released") or value is not None)
         }
 
     def note(self, medium: WellMixed | None) -> None:
@@ -162,6 +164,11 @@ class Ledger:
         self.relaid += found.relaid
         self.stored += stored
 
+    def release(self, amount: float) -> None:
+        """Enter what was released at once, amol."""
+        self.released = (self.released or 0.0) + amount
+        self.stored += amount
+
     def fill(self, content: float) -> None:
         """Note what the field holds, amol."""
         self.content = max(self.content, content)
@@ -169,7 +176,7 @@ class Ledger:
     def _changes(self) -> list[float]:
         """Return the change of the content by each entry, amol."""
         signed = [sign * (getattr(self, name) or 0.0) for name, sign in SIGNS.items()]
-        return [*signed, self.relaid]
+        return [*signed, self.relaid, self.released or 0.0]
 
     @property
     def remainder(self) -> float:
@@ -201,6 +208,8 @@ class Ledger:
     def summary(self) -> dict[str, float]:
         """Return totals in amol, and the remainder relative to turnover or content."""
         found = {name: getattr(self, name) for name in _TOTALS}
+        if self.released is not None:
+            found["released"] = self.released
         if self.made is not None:
             found |= {"made": self.made, "used": self.used or 0.0}
         if self.held is None:

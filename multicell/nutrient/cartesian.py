@@ -30,12 +30,14 @@ class Box:
     - ``shape``, (3,) int
     - ``spacing``, float, µm
     - ``height``, float or None, µm: in two dimensions, of the layer; ``shape`` then ends with 1
+    - ``repeats``, (3,) bool: along which axes space repeats: the nodes at both ends are neighbours
     """
 
     origin: tuple[float, float, float]
     shape: tuple[int, int, int]
     spacing: float
     height: float | None = None
+    repeats: tuple[bool, bool, bool] = (False, False, False)
 
     @property
     def upper(self) -> tuple[float, float, float]:
@@ -104,21 +106,34 @@ def _lay(ends: tuple[tuple[float, float], ...], spacing: float, height: float | 
     return _box(origin, counts, step, height)
 
 
-def _box(origin: list[float], counts: list[int], spacing: float, height: float | None) -> Box:
+def _box(
+    origin: list[float],
+    counts: list[int],
+    spacing: float,
+    height: float | None,
+    repeats: tuple[bool, bool, bool] = (False, False, False),
+) -> Box:
     """Return a box, with a flat third axis round z = 0 where there is a ``height``."""
     if height is not None:
         origin, counts = [*origin[:2], -0.5 * spacing], [*counts[:2], 1]
     a, b, c = origin
     x, y, z = counts
-    return Box((a, b, c), (x, y, z), spacing, height)
+    return Box((a, b, c), (x, y, z), spacing, height, repeats)
 
 
-def fill(low: FloatArray, high: FloatArray, spacing: float, height: float | None) -> Box:
+def fill(
+    low: FloatArray,
+    high: FloatArray,
+    spacing: float,
+    height: float | None,
+    repeats: tuple[bool, bool, bool] = (False, False, False),
+) -> Box:
     """Fill a box that stands still with cubes, or in two dimensions with squares.
 
     - ``low``, ``high``, (3,), µm: its corners; where ``height`` is given the third axis is not
       looked at
     - ``spacing``, float, µm: largest edge of a cube; see :func:`multicell.scene.domain.filling`
+    - ``repeats``: see :class:`Box`
     """
     axes = 3 if height is None else 2
     lengths = (high - low)[:axes]
@@ -132,7 +147,7 @@ def fill(low: FloatArray, high: FloatArray, spacing: float, height: float | None
     step = float((lengths / counts).max())
     while not (lengths / step <= counts).all():  # rounding must leave no point outside
         step = float(np.nextafter(step, np.inf))
-    return _box([float(x) for x in low], list(counts), step, height)
+    return _box([float(x) for x in low], list(counts), step, height, repeats)
 
 
 def covered_fractions(old: Box, new: Box) -> list[FloatArray]:

@@ -30,33 +30,60 @@ MAX_DENSE_NODES = 48
 """Nodes along an axis up to which its transform is a matrix product."""
 
 
+Ends = tuple[bool, bool] | None
+"""Which ends of an axis have values, the others have slopes; None where space repeats."""
+
+
 @lru_cache(maxsize=256)
-def halves(n: int, values: bool) -> tuple[Float32Array, FloatArray]:
+def halves(n: int, values: bool | None) -> tuple[Float32Array, FloatArray]:
     """Return the transform between two values (or two slopes) by halves, and its eigenvalues.
+
+    With ``values`` None that of an axis along which space repeats: cosines and sines.
 
     Returns (4, h, h) float32, h = (n + 1) / 2 rounded down: even and odd part of the transform, and
     of its inverse; the odd ones are smaller by one for odd n. The odd part takes nodes from the
     middle outwards; (n,) float64: eigenvalues of minus the second difference in the order of the
     coefficients.
     """
+    if values is None:
+        return _halves_of_circle(n)
     order, middle = np.arange(n)[:, None] + values, np.arange(n) + 0.5
     whole = (np.sin if values else np.cos)(np.pi / n * order * middle)
     whole *= math.sqrt(2.0 / n)
     whole[-1 if values else 0] *= math.sqrt(0.5)
     even, odd = whole[0::2, : (n + 1) // 2], whole[1::2, : n // 2][:, ::-1]
+    of = eigenvalues(n, (values, values))
+    return _both_ways(even, odd), np.concatenate([of[0::2], of[1::2]])
+
+
+def _halves_of_circle(n: int) -> tuple[Float32Array, FloatArray]:
+    """Return the transform along an axis that repeats: cosines about its middle, then sines."""
+    away = np.arange(n) - 0.5 * (n - 1)
+    number = np.arange((n + 1) // 2)[:, None], np.arange(1, n // 2 + 1)[:, None]
+    even = np.cos(2.0 * np.pi / n * number[0] * away[: (n + 1) // 2])
+    odd = np.sin(2.0 * np.pi / n * number[1] * away[: n // 2])[:, ::-1]
+    scale = [math.sqrt(2.0 / n) * np.where((2 * k % n) == 0, math.sqrt(0.5), 1.0) for k in number]
+    of = [4.0 * np.sin(np.pi / n * k[:, 0]) ** 2 for k in number]
+    return _both_ways(scale[0] * even, scale[1] * odd), np.concatenate(of)
+
+
+def _both_ways(even: FloatArray, odd: FloatArray) -> Float32Array:
+    """Return the even and the odd part of a transform and of its inverse, (4, h, h)."""
     found = np.zeros((4, *even.shape), dtype=np.float32)
     for k, part in enumerate((even, odd, even.T, odd.T)):
         found[k, : len(part), : len(part)] = part
-    of = eigenvalues(n, (values, values))
-    return found, np.concatenate([of[0::2], of[1::2]])
+    return found
 
 
-def eigenvalues(n: int, ends: tuple[bool, bool]) -> FloatArray:
+def eigenvalues(n: int, ends: Ends) -> FloatArray:
     """Return the n eigenvalues of minus the second difference between two ends.
 
     With values at both ends the angles are kπ/n for k = 1 ... n, with slopes at both for
-    k = 0 ... n - 1, and with one of each (k + 1/2)π/n.
+    k = 0 ... n - 1, and with one of each (k + 1/2)π/n; where space repeats 2kπ/n for
+    k = 0 ... n - 1.
     """
+    if ends is None:
+        return np.asarray(4.0 * np.sin(np.pi * np.arange(n) / n) ** 2)
     first = {(True, True): 1.0, (False, False): 0.0}.get(ends, 0.5)
     return np.asarray(4.0 * np.sin(0.5 * np.pi * (np.arange(n) + first) / n) ** 2)
 

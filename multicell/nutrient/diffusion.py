@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from multicell.cells import FloatArray
 from multicell.nutrient import dense, stencil
 from multicell.nutrient.cartesian import Box
-from multicell.nutrient.dense import eigenvalues
+from multicell.nutrient.dense import Ends, eigenvalues
 from multicell.nutrient.faces import ghost_terms
 from multicell.nutrient.steady import solve_steady
 
@@ -63,6 +63,7 @@ class Diffusion:
         self.shape, self.spacing, self.volumes = box.shape, box.spacing, box.volume
         self.diffusion = diffusion
         self.stiffness = diffusion / self.spacing**2
+        self._repeats = box.repeats
         self.threads = 1  # that may share the loops over many nodes; it changes no result
         self.set_boundary(boundary)
         # relative coefficients at the nodes and at the faces between them, None for one everywhere
@@ -70,7 +71,10 @@ class Diffusion:
         self.weights: stencil.Weights = None
         if varied is not None:
             self.varied = np.ascontiguousarray(varied.reshape(self.shape), dtype=float)
-            wx, wy, wz = (stencil.face_means(self.varied, axis) for axis in range(3))
+            wx, wy, wz = (
+                stencil.face_means(self.varied, axis, repeats)
+                for axis, repeats in enumerate(self._repeats)
+            )
             self.weights = (wx, wy, wz)
 
     def set_boundary(self, boundary: float | Mapping[str, Any]) -> None:
@@ -78,6 +82,9 @@ class Diffusion:
         if not isinstance(boundary, Mapping):
             boundary = {face: {"value": boundary} for face in _FACES}
         found = [ghost_terms(boundary[f], self.spacing) for f in _FACES[: 2 * self.dimensions]]
+        for axis in range(self.dimensions):
+            if self._repeats[axis]:
+                found[2 * axis] = found[2 * axis + 1] = (0.0, stencil.REPEATS)
         self._sides = _sides(self.shape, *zip(*found, strict=True))
         self.ghost, self.const = self._sides.ghost, self._sides.const
         brought = self._sides.brought
@@ -108,8 +115,8 @@ class Diffusion:
         return _transform(spectrum, self.kinds, inverse=True), product
 
     @property
-    def kinds(self) -> list[tuple[bool, bool]]:
-        """Of each axis which ends have values, the others have slopes."""
+    def kinds(self) -> list[Ends]:
+        """Of each axis which ends have values, the others have slopes; None where it repeats."""
         return self._sides.kinds
 
     @property
@@ -137,7 +144,8 @@ class _Sides(NamedTuple):
     """Constants of a grid's shape and the conditions on its faces.
 
     - ``ghost``, ``const``: see :class:`Diffusion`
-    - ``kinds``, (3,) of (bool, bool): of each axis which ends have values, the others have slopes
+    - ``kinds``, (3,) of (bool, bool): of each axis which ends have values, the others have slopes;
+      None where space repeats
     - ``halves``, (3,) of (4, h, h), (n,): see :func:`multicell.nutrient.dense.halves`; empty for
       grids that these do not suit
     - ``brought``, (nx, ny, nz), mM: what nodes gain by ``const``, over D/h²; None on such large
@@ -146,7 +154,7 @@ class _Sides(NamedTuple):
 
     ghost: FloatArray
     const: FloatArray
-    kinds: list[tuple[bool, bool]]
+    kinds: list[Ends]
     halves: list[tuple[NDArray[np.float32], FloatArray]]
     brought: FloatArray | None
 
@@ -158,24 +166,35 @@ def _sides(
     """Return the sides for constants (mM) and factors; a plane has two walls besides."""
     walls = 6 - len(factors)
     ghost, const = np.array((*factors, *[1.0] * walls)), np.array((*constants, *[0.0] * walls))
-    kinds = [(bool(low < 0.0), bool(high < 0.0)) for low, high in ghost.reshape(3, 2)]
+    kinds: list[Ends] = [
+        None if low == stencil.REPEATS else (bool(low < 0.0), bool(high < 0.0))
+        for low, high in ghost.reshape(3, 2)
+    ]
     halves = []
-    if max(shape) <= dense.MAX_DENSE_NODES and all(low == high for low, high in kinds):
-        halves = [dense.halves(n, low) for n, (low, _) in zip(shape, kinds, strict=True)]
+    alike = all(ends is None or ends[0] == ends[1] for ends in kinds)
+    if max(shape) <= dense.MAX_DENSE_NODES and alike:
+        halves = [
+            dense.halves(n, None if ends is None else ends[0])
+            for n, ends in zip(shape, kinds, strict=True)
+        ]
     return _Sides(ghost, const, kinds, halves, _brought(shape, const) if halves else None)
 
 
-def _transform(
-    y: NDArray[Any], kinds: Sequence[tuple[bool, bool]], *, inverse: bool
-) -> NDArray[Any]:
+def _transform(y: NDArray[Any], kinds: Sequence[Ends], *, inverse: bool) -> NDArray[Any]:
     """Transform along all axes; those of the same kind at once."""
     from scipy import fft
 
-    if all(kind == kinds[0] for kind in kinds):
+    kinds_of_axes: dict[tuple[int, ...], Ends]
+    if all(kind == kinds[0] for kind in kinds) and kinds[0] is not None:
         kinds_of_axes = {tuple(range(y.ndim)): kinds[0]}
     else:
         kinds_of_axes = {(axis,): kind for axis, kind in enumerate(kinds) if y.shape[axis] > 1}
     for axes, kind in kinds_of_axes.items():
+        if kind is None:
+            # Hartley's transform: real, orthogonal, and its own inverse
+            waves = fft.fft(y, axis=axes[0], norm="ortho", workers=1)
+            y = np.ascontiguousarray(waves.real - waves.imag)
+            continue
         name, number = TRANSFORMS[kind]
         run = getattr(fft, f"i{name}n" if inverse else f"{name}n")
         y = run(y, type=number, axes=axes, norm="ortho", overwrite_x=True, workers=1)

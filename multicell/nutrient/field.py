@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple, final
 import numpy as np
 
 from multicell.cells import FloatArray
+from multicell.errors import NutrientFailed
 from multicell.nutrient import grid as layouts
-from multicell.nutrient.cartesian import round_enough
+from multicell.nutrient.cartesian import mesh, round_enough
 from multicell.nutrient.grid import BoxLayout, Layout, ShellLayout
 from multicell.nutrient.tissue import Tissue, drawn_in, drawn_to_ball, reaching
 from multicell.nutrient.uptake import uptake
+from multicell.scene.formulas import formula_values
 
 if TYPE_CHECKING:
     from multicell.nutrient.balance import FieldExchange, WellMixed
@@ -172,10 +174,31 @@ class NutrientField:
         reached, extent = self._reached(position, radius)
         return np.asarray(capacity * self.layout.gather(reached, rate, extent))
 
-    def put(self, reached: FloatArray, amount: FloatArray) -> float:
+    def first_values(self, layout: Layout, time: float) -> float | FloatArray:
+        """Return the first values on a layout, mM: of the medium, or of a formula.
+
+        Raises NutrientFailed for values below zero or that are not finite.
+        """
+        formula = self.parameters.nutrient.initial_formula
+        if not formula:
+            return self.level(time)
+        assert isinstance(layout, BoxLayout)
+        places = mesh(layout.box.axes())
+        values = formula_values(formula, places, "initial_formula")
+        wrong = np.flatnonzero(~((values >= 0.0) & (values < np.inf)))
+        if len(wrong):
+            where = ", ".join(f"{x:g}" for x in places[wrong[0]])
+            problem = f"initial_formula of {self.name} is {values[wrong[0]]:g} mM at ({where}) um"
+            raise NutrientFailed(problem, "A concentration is finite and not below zero")
+        return values.reshape(layout.shape)
+
+    def put(
+        self, reached: FloatArray, amount: FloatArray, radius: FloatArray | None = None
+    ) -> float:
         """Add amounts of the cells (n,), amol, at positions on the grid; return the sum of all."""
         before = self.stored()
-        values = self.values + self.layout.scatter(reached, amount).reshape(self.values.shape)
+        density = self.layout.scatter(reached, amount, radius)
+        values = self.values + density.reshape(self.values.shape)
         self.take(self.layout, values, self._conditions)
         return self.stored() - before
 

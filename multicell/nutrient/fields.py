@@ -43,6 +43,7 @@ Fluxes = Callable[[str, Cells, float], tuple[FloatArray | None, FloatArray | Non
 """Returns what networks in cells take up and secrete of a field at a time in s, (n,) amol/s; NaN
 in cells that have none, None where no network does."""
 
+_SAME_TIME = 1e-6  # of a step, within which a release is at its beginning
 _LEAST_SHARE = 1e-6  # of the largest uptake, where a cell finds next to nothing
 
 Respond = Callable[[str, Cells, Mapping[str, FloatArray]], FloatArray | None]
@@ -140,6 +141,7 @@ class FieldSystem:
             for what in ("uptake", "secretion")
         }
         self._resting = {name for name in self.order if self._rests(name)}
+        self._released = [name for name in self.order if scene.nutrients[name].release]
         self._marched = [name for name in self.order if name not in self._resting]
         self.steady = [n for n, x in self.fields.items() if x.parameters.regime == "steady"]
         around = circles(scene.nutrients, known, scene.responses)
@@ -217,6 +219,7 @@ class FieldSystem:
         for name in group.names:
             field = self.fields[name]
             self.ledger[name].add(self._none(name))
+            self._release(name, cells, -1.0, 0.0 if time == 0.0 else -1.0)
             self.ledger[name].fill(field.stored())
             if self._nutrients[name].finite_medium is not None:
                 field.attach_medium()
@@ -265,6 +268,10 @@ class FieldSystem:
         """
         self._continue()
         self.time = begin
+        for name in self._released:
+            near = _SAME_TIME * (end - begin)
+            after = begin - near if begin > 0.0 else 0.0  # what was there at the start is there
+            self._release(name, cells if before is None else before, after, end - near)
         began: dict[str, Demand] = {}
         shares = np.zeros(0)
         if before is not None and self._marched:
@@ -296,6 +303,30 @@ class FieldSystem:
                 values = np.stack([found[group.names.index(name)] for _, found in seen])
                 self.courses[name] = times, values
         self._ahead = {}
+
+    def _release(self, name: str, cells: Cells, after: float, until: float) -> None:
+        """Put what is released after a time and up to another, s, into a field.
+
+        Raises NutrientFailed where it has no place.
+        """
+        field, ledger = self.fields[name], self.ledger[name]
+        for key, release in self._nutrients[name].release.items():
+            if not after < release.time <= until:
+                continue
+            place, radius = np.array([release.place or (0.0,) * 3]), np.array([release.radius])
+            if release.type:
+                row = list(self._scene.types).index(release.type)
+                chosen = cells.kind == row
+                place, radius = cells.position[chosen], cells.radius[chosen]
+            share = np.full(len(place), release.amount / max(len(place), 1))
+            try:
+                if not len(place):
+                    raise ValueError(f"there is no cell of type {release.type}")
+                ledger.release(field.put(place, share, radius))
+            except ValueError as trouble:
+                problem = f"release.{key} of {name} at {release.time:g} s has no place: {trouble}"
+                raise NutrientFailed(problem, "Look at place and domain, or type") from None
+            ledger.fill(field.stored())
 
     def shares(self, cells: Cells) -> dict[str, FloatArray]:
         """Return the uptake of each field over the largest one where cells are, name -> (n,)."""
@@ -449,7 +480,8 @@ class FieldSystem:
         rates = {name: self._uptake_rate(name, cells) for name in self.fields}
         found |= {f"uptake_{name}": rate for name, rate in rates.items()}
         if rates and self._scene.dimensions == 3:
-            rim = viable_volume(cells)
+            repeats = self._scene.box is not None and self._scene.box.periodic
+            rim = math.nan if repeats else viable_volume(cells)
             found |= {f"rim_uptake_{name}": rate / rim for name, rate in rates.items()}
         return found
 

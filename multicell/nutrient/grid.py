@@ -63,7 +63,7 @@ class BoxLayout:
     def within(cls, domain: Domain, spacing: float, height: float | None) -> BoxLayout:
         """Lay it on a box that stands still, the faces on its sides."""
         low, high = (np.array(corner) for corner in domain.corners())
-        return cls(fill(low, high, spacing, height))
+        return cls(fill(low, high, spacing, height, domain.repeats))
 
     @property
     def spacing(self) -> float:
@@ -94,6 +94,8 @@ class BoxLayout:
         for axis, low, high in zip(
             range(self._axes), self.box.origin, self.box.upper, strict=False
         ):
+            if self.box.repeats[axis]:
+                continue
             if lowest[axis] >= low and highest[axis] <= high:
                 continue
             found = position.copy() if found is position else found
@@ -106,12 +108,25 @@ class BoxLayout:
         self, position: FloatArray, amount: FloatArray, radius: FloatArray | None = None
     ) -> FloatArray:
         """Spread amounts of the cells, (n,), over the nodes as densities; absent radii: points."""
-        return balls.scatter(self.box, position, amount, radius)
+        if not self._repeats:
+            return balls.scatter(self.box, position, amount, radius)
+        wider, layers = self._unrolled(self._reach(radius))
+        density = balls.scatter(wider.box, self._inside(position), amount, radius)
+        for axis, more in enumerate(layers):
+            if more:
+                n, v = self.box.shape[axis], np.moveaxis(density, axis, 0)
+                found = np.zeros((n, *v.shape[1:]))
+                np.add.at(found, (np.arange(len(v)) - more) % n, v)
+                density = np.moveaxis(found, 0, axis)
+        return np.ascontiguousarray(density)
 
     def gather(
         self, position: FloatArray, values: FloatArray, radius: FloatArray | None = None
     ) -> FloatArray:
         """Return the means over cells at positions (n, 3) in µm, or what is there at points."""
+        if self._repeats:
+            wider, layers = self._unrolled(self._reach(radius))
+            return wider.gather(self._inside(position), _wrapped(values, layers), radius)
         return balls.gather(self.box, position, values, radius)
 
     def read(
@@ -122,6 +137,10 @@ class BoxLayout:
         radius: FloatArray | None = None,
     ) -> FloatArray:
         """Do the same, but between the last nodes and the faces, and beyond, by the conditions."""
+        if self._repeats:
+            wider, ends = self._unrolled(self._reach(radius))
+            unrolled = _wrapped(values, ends)
+            return wider.read(self._inside(position), unrolled, conditions, radius)
         found, some = balls.gathered(self.box, position, values, radius)
         if some:
             widest = 0.0 if radius is None else float(radius.max()) / self.spacing
@@ -140,6 +159,9 @@ class BoxLayout:
 
         Exact for parabolas, up to the faces: there the values are extrapolated.
         """
+        if self._repeats:
+            wider, layers = self._unrolled(2)
+            return wider.gradient(self._inside(position), _wrapped(values, layers))
         near = self._nearer_than(1.0, position)
         result = np.zeros(position.shape)
         result[~near] = self._differences(position[~near], values, self.gather)
@@ -148,6 +170,32 @@ class BoxLayout:
             padded = faces.by_parabola(values, self._axes)
             result[near] = self._differences(position[near], padded, self._gather_padded)
         return result
+
+    @property
+    def _repeats(self) -> bool:
+        return any(self.box.repeats)
+
+    def _reach(self, radius: FloatArray | None) -> int:
+        """Return how many nodes beyond a face a cell on it may reach."""
+        widest = 0.0 if radius is None else float(radius.max(initial=0.0))
+        return math.ceil(widest / self.spacing + 0.5) + 1
+
+    def _unrolled(self, more: int) -> tuple[BoxLayout, tuple[int, ...]]:
+        """Return a wider box, with nodes more at the ends where space repeats, and how many."""
+        box, h = self.box, self.spacing
+        layers = tuple(more if repeats else 0 for repeats in box.repeats)
+        x, y, z = (o - m * h for o, m in zip(box.origin, layers, strict=True))
+        nx, ny, nz = (n + 2 * m for n, m in zip(box.shape, layers, strict=True))
+        return BoxLayout(Box((x, y, z), (nx, ny, nz), h, box.height)), layers
+
+    def _inside(self, position: FloatArray) -> FloatArray:
+        """Return the images of positions (n, 3) that lie in the box, along axes that repeat."""
+        found = np.array(position, dtype=float)
+        for axis, (low, n) in enumerate(zip(self.box.origin, self.box.shape, strict=True)):
+            if self.box.repeats[axis]:
+                length = n * self.spacing
+                found[:, axis] -= length * np.floor((found[:, axis] - low) / length)
+        return found
 
     @property
     def _axes(self) -> int:
@@ -230,7 +278,13 @@ class BoxLayout:
             spacing=box.spacing,
             values=values,
             height=box.height or 0.0,
+            repeats=box.repeats,
         )
+
+
+def _wrapped(values: FloatArray, layers: tuple[int, ...]) -> FloatArray:
+    """Return values with so many nodes more at both ends of each axis, those from the other end."""
+    return np.pad(values, [(more, more) for more in layers], mode="wrap")
 
 
 def equivalent_ball_radius(position: FloatArray, radius: FloatArray) -> float:
@@ -463,5 +517,5 @@ def restored(field: Field) -> tuple[Layout, FloatArray]:
     a, b, c = (float(x) for x in field.origin)
     nx, ny, nz = values.shape
     return BoxLayout(
-        Box((a, b, c), (nx, ny, nz), float(field.spacing), field.height or None)
+        Box((a, b, c), (nx, ny, nz), float(field.spacing), field.height or None, field.repeats)
     ), values

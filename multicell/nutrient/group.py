@@ -114,7 +114,7 @@ class FieldGroup:
         nothing = np.zeros(len(tissue.position)), None
         self.begin(tissue, dict.fromkeys(self.names, nothing), time, carry=False)
         for nodes, field in zip(self.state.data, self.fields.values(), strict=True):
-            nodes[...] = field.level(time)
+            nodes[...] = field.first_values(self.layout, time)
         self.finish(time)
 
     def begin(self, tissue: Tissue, demand: Demand, time: float, *, carry: bool) -> None:

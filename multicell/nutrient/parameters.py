@@ -78,6 +78,9 @@ class FieldParameters:
             self._conditions.clear()
             faces = ("r+",) if layout.kind == "radial" else _faces(self.dimensions)
             found = {face: _condition(_side(self.nutrient, face), level) for face in faces}
+            for axis in () if self.domain is None else self.domain.periodic:
+                # no side; what stands here is not looked at
+                found[axis + "-"] = found[axis + "+"] = {"derivative": 0.0}
             self._conditions[key] = found["r+"] if layout.kind == "radial" else found
         return self._conditions[key]
 

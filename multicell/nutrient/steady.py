@@ -120,7 +120,8 @@ def solve_steady(
     - ``supply``, (nx, ny, nz), mM/s, optional: what the nodes gain besides diffusion, not negative
     """
     nodes = math.prod(operator.shape)
-    if nodes < MULTIGRID_NODES:
+    # the levels of multigrid have ends: where space repeats transforms serve at any size
+    if nodes < MULTIGRID_NODES or None in operator.kinds:
         problem = _Problem(operator, sink, half_saturation, linear, supply, None)
         return _solve(problem, start, _Linear(operator))
     from multicell.nutrient.multigrid import MultigridSolver

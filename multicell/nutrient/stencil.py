@@ -36,15 +36,31 @@ _jit = typed(**KERNEL, nogil=True)
 _inner = typed(**INLINED, nogil=True)
 
 
+REPEATS = 2.0
+"""Factor of the ghost values at a face where space repeats: the neighbour is at the other end."""
+
 PART = 150_000
 """Least number of nodes for each thread that shares a loop: with fewer, waking it is no gain."""
 
 
-def face_means(varied: NDArray[Any], axis: int) -> NDArray[Any]:
-    """Return the coefficients at the faces across an axis: harmonic means, and the outer nodes'."""
+def face_means(varied: NDArray[Any], axis: int, repeats: bool = False) -> NDArray[Any]:
+    """Return the coefficients at the faces across an axis: harmonic means, and the outer nodes'.
+
+    Where space repeats the outer faces lie between the first node and the last.
+    """
     v = np.moveaxis(varied, axis, 0)
+    if repeats:
+        v = np.concatenate([v[-1:], v, v[:1]])
     means = 2.0 * v[1:] * v[:-1] / (v[1:] + v[:-1])
+    if repeats:
+        return np.ascontiguousarray(np.moveaxis(means, 0, axis))
     return np.ascontiguousarray(np.moveaxis(np.concatenate([v[:1], means, v[-1:]]), 0, axis))
+
+
+@_inner
+def _beyond(ghost: float, own: float, other: float) -> float:
+    """Return the value beyond a face of a node, ``other`` being at the other end of the axis."""
+    return other if ghost == REPEATS else ghost * own
 
 
 @_inner
@@ -56,10 +72,18 @@ def _fill_row(p: FloatArray, ghost: FloatArray, i: int, j: int, row: FloatArray)
     b, wb = (p[i + 1, j], 1.0) if i < nx - 1 else (e, ghost[1])
     c, wc = (p[i, j - 1], 1.0) if j > 0 else (e, ghost[2])
     d, wd = (p[i, j + 1], 1.0) if j < ny - 1 else (e, ghost[3])
+    if wa == REPEATS:
+        a, wa = p[nx - 1, j], 1.0
+    if wb == REPEATS:
+        b, wb = p[0, j], 1.0
+    if wc == REPEATS:
+        c, wc = p[i, ny - 1], 1.0
+    if wd == REPEATS:
+        d, wd = p[i, 0], 1.0
     for k in range(0, nz, max(nz - 1, 1)):
         across = wa * a[k] + wb * b[k] + wc * c[k] + wd * d[k]
-        across += e[k - 1] if k > 0 else ghost[4] * e[k]
-        row[k] = across + (e[k + 1] if k < nz - 1 else ghost[5] * e[k])
+        across += e[k - 1] if k > 0 else _beyond(ghost[4], e[k], e[nz - 1])
+        row[k] = across + (e[k + 1] if k < nz - 1 else _beyond(ghost[5], e[k], e[0]))
     # no branches in these loops, for the vector units
     if i == 0 or i == nx - 1 or j == 0 or j == ny - 1:
         for k in range(1, nz - 1):
@@ -88,12 +112,12 @@ def _fill_varied(
         a, b = wx[i, j, k], wx[i + 1, j, k]
         c, d = wy[i, j, k], wy[i, j + 1, k]
         e, f = wz[i, j, k], wz[i, j, k + 1]
-        total = a * (p[i - 1, j, k] if i > 0 else ghost[0] * v)
-        total += b * (p[i + 1, j, k] if i < nx - 1 else ghost[1] * v)
-        total += c * (p[i, j - 1, k] if j > 0 else ghost[2] * v)
-        total += d * (p[i, j + 1, k] if j < ny - 1 else ghost[3] * v)
-        total += e * (p[i, j, k - 1] if k > 0 else ghost[4] * v)
-        total += f * (p[i, j, k + 1] if k < nz - 1 else ghost[5] * v)
+        total = a * (p[i - 1, j, k] if i > 0 else _beyond(ghost[0], v, p[nx - 1, j, k]))
+        total += b * (p[i + 1, j, k] if i < nx - 1 else _beyond(ghost[1], v, p[0, j, k]))
+        total += c * (p[i, j - 1, k] if j > 0 else _beyond(ghost[2], v, p[i, ny - 1, k]))
+        total += d * (p[i, j + 1, k] if j < ny - 1 else _beyond(ghost[3], v, p[i, 0, k]))
+        total += e * (p[i, j, k - 1] if k > 0 else _beyond(ghost[4], v, p[i, j, nz - 1]))
+        total += f * (p[i, j, k + 1] if k < nz - 1 else _beyond(ghost[5], v, p[i, j, 0]))
         row[k] = total
         diagonal[k] = a + b + c + d + e + f
 
@@ -284,6 +308,8 @@ def balance_negative(
                 a = i + step if face // 2 == 0 else i
                 b = j + step if face // 2 == 1 else j
                 d = k + step if face // 2 == 2 else k
+                if ghost[face] == REPEATS:
+                    a, b, d = a % nx, b % ny, d % nz
                 if 0 <= a < nx and 0 <= b < ny and 0 <= d < nz:
                     gain += stiffness * w * c[a, b, d]
                     loss += stiffness * w
@@ -401,6 +427,8 @@ def flows(
     inward, outward = 0.0, 0.0
     for face in range(6):
         axis, high = face // 2, face % 2
+        if ghost[face] == REPEATS:
+            continue
         for a in range(across[axis][0]):
             for b in range(across[axis][1]):
                 if axis == 0:

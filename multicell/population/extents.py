@@ -122,6 +122,27 @@ class Extent:
         return float((cubes(ratio) if self._dimensions == 3 else ratio * ratio).sum())
 
 
+@final
+class NoExtent:
+    """Lengths of a population that fills space without end: there is no centre, and no number."""
+
+    dead_core = resting_core = inhibited = math.nan
+
+    def radius(self, mask: Mask | None = None) -> float:
+        """Return NaN."""
+        return math.nan
+
+    diameter = packing_ratio = radius
+
+    def core(self, inside: Mask, others: float = 0.5) -> float:
+        """Return NaN."""
+        return math.nan
+
+    def rim(self, core: float) -> float:
+        """Return NaN."""
+        return math.nan
+
+
 def uniform_radius(
     cells: Cells, origin: FloatArray, dimensions: int, mask: Mask | None = None
 ) -> float:

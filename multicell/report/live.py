@@ -100,6 +100,8 @@ def drawn(cells: Cells, scene: Scene, time: float) -> bytes:
     """
     from PIL import Image, ImageDraw
 
+    if scene.domain is not None and scene.domain.periodic:
+        cells = cells.changed(position=scene.domain.inside(cells.position))
     group, palette = _groups(cells, scene)
     picture = Image.new("RGB", (_FINER * WIDE, _FINER * HIGH), _PAPER)
     pen = ImageDraw.Draw(picture)

@@ -21,6 +21,7 @@ from multicell.results.quantities import known_unit, unit_of
 from multicell.results.tables import cells_table, data_frame
 from multicell.schema import near_miss
 from multicell.tables.titles import titled
+from multicell.vectors import nearest_differences
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -48,9 +49,11 @@ def _cells(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
 def _contacts(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
     for number, frame in frames:
         cells = frame.cells
-        pairs = touching(frame)
+        period = None if run.scene.domain is None else run.scene.domain.period
+        pairs = touching(frame, period)
         n, (first, second) = len(pairs), pairs.T
-        apart = np.linalg.norm(cells.position[first] - cells.position[second], axis=1)
+        way = nearest_differences(cells.position[second], cells.position[first], period)
+        apart = np.linalg.norm(way, axis=1)
         table = {
             "frame": np.full(n, number),
             "time": np.full(n, frame.time),

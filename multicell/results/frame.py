@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, final
 
 import numpy as np
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from pde.fields.scalar import ScalarField
     from pyvista import MultiBlock
     from xarray import Dataset
+
+    from multicell.scene.parts import Domain
 
 V = TypeVar("V")
 
@@ -51,6 +53,7 @@ class Field:
       1/2) * spacing`` from ``origin``, which is their centre.
     - ``kind``: ``"box"`` or ``"radial"``
     - ``height``: of the layer in two dimensions, µm; else 0
+    - ``repeats``, (3,) bool: along which axes space repeats (``domain.periodic``)
 
     :meth:`to_pde` gives it to py-pde, whose fields can be drawn, interpolated and written to files.
     """
@@ -62,6 +65,7 @@ class Field:
     values: NDArray[np.float64]
     kind: str = "box"
     height: float = 0.0
+    repeats: tuple[bool, bool, bool] = (False, False, False)
 
     def __repr__(self) -> str:
         shape = " × ".join(f"{n}" for n in self.values.shape if n > 1) or "1"
@@ -157,6 +161,17 @@ class Frame:
     contacts: IntArray = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
     progress: Progress | None = None
     draw: Callable[..., Figure] | None = None
+
+    def within(self, domain: Domain | None) -> Frame:
+        """Return the frame with cells inside a domain, along axes along which space repeats.
+
+        The positions of a frame go on beyond its sides, so that displacements are those of the
+        cells; so pictures and exports for viewers show them.
+        """
+        if domain is None or not domain.periodic:
+            return self
+        inside = domain.inside(self.cells.position)
+        return replace(self, cells=self.cells.changed(position=inside))
 
     def __post_init__(self) -> None:
         concentrations = Named(self.concentrations, "concentration")

@@ -49,6 +49,10 @@ def _is_pressed(scene: Scene) -> bool:
 
 
 def _has_walls(scene: Scene) -> bool:
+    return _has_volume(scene) and not scene.domain.periodic  # type: ignore[union-attr]
+
+
+def _has_volume(scene: Scene) -> bool:
     return scene.dimensions == 3 and scene.domain is not None
 
 
@@ -63,6 +67,15 @@ def _walls(state: TissueState) -> Walls | Sphere:
     if _has_gel(state.scene):
         of.settle_gel(state.cells, found, compression(state.scene))
     return found
+
+
+def _volume(state: TissueState) -> float:
+    """Return the volume of the domain, µm³."""
+    domain = state.scene.box
+    if domain is None or not domain.periodic:
+        return _walls(state).volume
+    low, high = domain.corners()
+    return float(np.prod(np.subtract(high, low)))
 
 
 def _mean(values: NDArray[Any]) -> float:
@@ -199,10 +212,9 @@ OBSERVABLES: Final = (
     ),
     Observable(
         "volume_fraction",
-        lambda s: s.cells.volume.sum() / _walls(s).volume,
-        exists=_has_walls,
-        doc="sum of the cells' volumes over the volume of the `domain`; with elastic walls in"
-        " space",
+        lambda s: s.cells.volume.sum() / _volume(s),
+        exists=_has_volume,
+        doc="sum of the cells' volumes over the volume of the `domain`; in space",
     ),
     _length(
         "domain_radius",
@@ -219,12 +231,12 @@ OBSERVABLES: Final = (
     ),
     _pressure(
         "tissue_pressure",
-        lambda s: of.tissue_pressure(s.cells, _walls(s)),
-        exists=_has_walls,
+        lambda s: of.tissue_pressure(s.cells, _volume(s)),
+        exists=_has_volume,
         signed=True,
         doc="[pressure of the tissue](contact.md#pressure-of-the-tissue), the virial of all "
-        "contacts over the volume of the `domain`; at rest it is `wall_pressure`; with "
-        "elastic walls in space",
+        "contacts over the volume of the `domain`; at rest it is `wall_pressure`, where there are "
+        "walls on all sides; in space",
     ),
     Observable(
         "pressure_factor",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from multicell.cells import Cells, FloatArray, IntArray, State
 from multicell.errors import SceneError
-from multicell.population.extents import Extent
+from multicell.population.extents import Extent, NoExtent
 from multicell.results.observables import touching
 
 if TYPE_CHECKING:
@@ -65,11 +65,18 @@ class TissueState:
     @cached_property
     def contacts(self) -> IntArray:
         """Rows of the cells of each pair in contact, (m, 2); overlapping pairs if none is known."""
-        return touching(self.frame)
+        return touching(self.frame, self._period)
+
+    @property
+    def _period(self) -> FloatArray | None:
+        domain = self.scene.domain
+        return None if domain is None else domain.period
 
     @cached_property
-    def extent(self) -> Extent:
-        """Extent of the population, of which all lengths are made."""
+    def extent(self) -> Extent | NoExtent:
+        """Extent of the population, of which all lengths are made; none where space repeats."""
+        if self._period is not None:
+            return NoExtent()
         return Extent(self.cells, self.dimensions)
 
     @cached_property

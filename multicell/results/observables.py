@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from multicell.cells import Cells, FloatArray, IntArray, State, contact_rows
 from multicell.contact.law import compliance
 from multicell.population.extents import centre, distances
+from multicell.vectors import nearest_differences, wrapped
 
 if TYPE_CHECKING:
     from multicell.mechanics.compression import TissueCompression
@@ -46,13 +47,13 @@ def wall_pressure(
     return float(walls.pressures(cells.position, cells.radius, softness).mean()) + pressed
 
 
-def tissue_pressure(cells: Cells, walls: Walls | Sphere) -> float:
-    """Return the pressure of the tissue in a box in kPa: the sum of p_i V_i over its volume.
+def tissue_pressure(cells: Cells, volume: float) -> float:
+    """Return the pressure of the tissue in a volume in kPa: the sum of p_i V_i over it, µm³.
 
     With the pressures p_i of the cells that is the virial stress, a third of its trace. At rest it
     is the pressure on the walls.
     """
-    return float(cells.pressure @ cells.volume) / walls.volume
+    return float(cells.pressure @ cells.volume) / volume
 
 
 def heterotypic_fraction(cells: Cells, contacts: IntArray) -> float:
@@ -142,21 +143,24 @@ def means(place: NDArray[Any], edges: FloatArray, values: NDArray[Any]) -> Float
     return found
 
 
-def touching(frame: Frame) -> NDArray[np.int64]:
+def touching(frame: Frame, period: FloatArray | None = None) -> NDArray[np.int64]:
     """Return the rows of the cells of each pair in contact: (m, 2).
 
-    Where a run does not count its contacts, those whose spheres overlap.
+    Where a run does not count its contacts, those whose spheres overlap; with a ``period``, (3,)
+    µm, also those of images (:attr:`multicell.scene.parts.Domain.period`).
     """
     pairs = contact_rows(frame.cells, frame.contacts)
-    return pairs if len(pairs) else _overlapping(frame.cells)
+    return pairs if len(pairs) else _overlapping(frame.cells, period)
 
 
-def _overlapping(cells: Cells) -> NDArray[np.int64]:
+def _overlapping(cells: Cells, period: FloatArray | None) -> NDArray[np.int64]:
     from scipy.spatial import cKDTree
 
-    tree = cKDTree(cells.position)
+    place = cells.position if period is None else wrapped(cells.position, period)
+    tree = cKDTree(place, boxsize=period)
     near = tree.query_pairs(2.0 * cells.radius.max(initial=0.0), output_type="ndarray")
     first, second = near.T
-    apart = np.linalg.norm(cells.position[first] - cells.position[second], axis=1)
+    way = nearest_differences(cells.position[second], cells.position[first], period)
+    apart = np.linalg.norm(way, axis=1)
     near = near[apart < cells.radius[first] + cells.radius[second]].astype(np.int64)
     return np.asarray(near[np.lexsort((near[:, 1], near[:, 0]))])

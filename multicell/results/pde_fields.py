@@ -19,7 +19,12 @@ if TYPE_CHECKING:
 
 
 def box_grid(
-    origin: Sequence[float], shape: Sequence[int], spacing: float, *, flat: bool
+    origin: Sequence[float],
+    shape: Sequence[int],
+    spacing: float,
+    *,
+    flat: bool,
+    repeats: Sequence[bool] = (False, False, False),
 ) -> CartesianGrid:
     """Return py-pde's grid of a box of cubes; of squares where it is flat.
 
@@ -27,19 +32,26 @@ def box_grid(
     - ``shape``, (3,) int
     - ``spacing``, float, µm
     - ``flat``: whether the third axis is left out
+    - ``repeats``, (3,) bool: along which axes space repeats
     """
     axes = 2 if flat else 3
     bounds = [
         (float(low), float(low) + count * spacing) for low, count in zip(origin, shape, strict=True)
     ]
-    return CartesianGrid(bounds[:axes], list(shape)[:axes])
+    return CartesianGrid(bounds[:axes], list(shape)[:axes], periodic=list(repeats)[:axes])
 
 
 def grid_of(field: Field) -> GridBase:
     """Return py-pde's grid of a field."""
     if field.kind == "radial":
         return SphericalSymGrid(field.spacing * field.values.size, field.values.size)
-    return box_grid(list(field.origin), field.values.shape, field.spacing, flat=field.height > 0.0)
+    return box_grid(
+        list(field.origin),
+        field.values.shape,
+        field.spacing,
+        flat=field.height > 0.0,
+        repeats=field.repeats,
+    )
 
 
 def scalar_field(field: Field) -> ScalarField:

@@ -21,6 +21,7 @@ _AMOUNTS: Final = (
     "remainder",
     "made",
     "used",
+    "released",
     "medium_held",
     "medium_fresh",
     "medium_discarded",

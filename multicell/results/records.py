@@ -37,6 +37,7 @@ FIELD_ARRAYS: Final[Mapping[str, FieldArray]] = {
     "origin": FieldArray("<f8", 3, "um", np.nan),
     "spacing": FieldArray("<f8", 0, "um", np.nan),
     "height": FieldArray("<f8", 0, "um", np.nan),
+    # 1: shells; else the sum of 2, 4 and 8 for the axes x, y and z along which space repeats
     "radial": FieldArray("|i1", 0, "", 0),
 }
 
@@ -86,7 +87,8 @@ def without_zeros(arrays: Arrays) -> Arrays:
 
 
 def _of_field(field: Field) -> Arrays:
-    stored = {**vars(field), "radial": field.kind == "radial"}
+    shape = (field.kind == "radial") + sum(2 << k for k in range(3) if field.repeats[k])
+    stored = {**vars(field), "radial": shape}
     arrays = {name: np.asarray(stored[name], entry.dtype) for name, entry in FIELD_ARRAYS.items()}
     return {"values": np.asarray(field.values, "<f8"), **arrays}
 
@@ -117,8 +119,9 @@ def _field_of(name: str, arrays: Mapping[str, NDArray[Any]]) -> Field:
     origin, spacing, height, radial, values = (
         arrays[f"fields/{name}/{key}"] for key in (*FIELD_ARRAYS, "values")
     )
-    kind = "radial" if radial else "box"
-    return Field(name, UNIT, origin, float(spacing), values, kind, float(height))
+    kind, shape = "radial" if radial == 1 else "box", int(radial)
+    x, y, z = (bool(shape & 2 << k) for k in range(3))
+    return Field(name, UNIT, origin, float(spacing), values, kind, float(height), (x, y, z))
 
 
 def parse_table(text: bytes | str) -> dict[str, Any]:

@@ -19,6 +19,8 @@ from multicell.scene.scales import (
     largest_spacing,
     layer_height,
     level_fixed,
+    regime,
+    repeating,
     touches_medium,
 )
 from multicell.schema import leaves, near_miss, separated
@@ -60,6 +62,8 @@ def check_types(scene: Scene) -> None:
             raise SceneError(path, "needs growth.volume_doubling_time", hint)
         if kind.surface_energy is not None:
             _check_energies(scene, f"types.{name}.surface_energy", kind)
+        path, known = f"types.{name}.chemotaxis_of", "a field with chemotaxis"
+        check_names(kind.chemotaxis_of, scene.chemotaxis, path, known)
         for key in ("uptake_of", "secretion_of"):
             check_names(getattr(kind, key), scene.nutrients, f"types.{name}.{key}", FIELD_HINT)
         if kind.sticks and scene.adhesion is None:
@@ -163,6 +167,7 @@ def check_nutrients(scene: Scene) -> None:
             _check_oxygen(path, nutrient)
         _check_spacing(scene, path, nutrient)
         _check_sides(scene, path, nutrient)
+        _check_beginning(scene, name, path, nutrient)
         if nutrient.media is not None and nutrient.media[0][0] < 0.0:
             problem = f"begins at {nutrient.media[0][0]:g} s, before the run"
             raise SceneError(f"{path}.media", problem)
@@ -188,6 +193,18 @@ def _check_names(scene: Scene, path: str, nutrient: Nutrient) -> None:
         if not scene.nutrients[other].takes_up:
             hint = "What is secreted from a field's uptake needs that uptake."
             raise SceneError(f"{path}.secretion_from.{other}", "is a field with no uptake", hint)
+
+
+def _check_beginning(scene: Scene, name: str, path: str, nutrient: Nutrient) -> None:
+    """Check that what a field starts from and what is released have an effect."""
+    given = [f"release.{key}" for key in nutrient.release]
+    given += ["initial_formula"] if nutrient.initial_formula else []
+    if given and regime(scene, name) == "steady":
+        hint = "Let the field be 'transient'."
+        raise SceneError(f"{path}.{given[0]}", "has no effect: the field is steady", hint)
+    for key, release in nutrient.release.items():
+        if release.type:
+            check_names([release.type], scene.types, f"{path}.release.{key}.type", "a type")
 
 
 def _check_oxygen(path: str, nutrient: Nutrient) -> None:
@@ -223,7 +240,7 @@ def _check_spacing(scene: Scene, path: str, nutrient: Nutrient) -> None:
 
 def _check_sides(scene: Scene, path: str, nutrient: Nutrient) -> None:
     """Check that something fixes the level, and that shells have one condition all round."""
-    if not level_fixed(nutrient, scene.dimensions):
+    if not level_fixed(nutrient, scene.dimensions, repeating(scene)):
         if nutrient.regime == "steady":
             hint = "Give one side a value, or a perfusion, or let the field be 'transient'."
             raise SceneError(f"{path}.sides", "fix no level: no steady state is defined", hint)
@@ -248,7 +265,9 @@ def _check_finite(scene: Scene, path: str, nutrient: Nutrient) -> None:
                 problem = "supplies from elsewhere, but the medium is finite: nothing would add up"
                 hint = "Leave it out (the medium's value), or let the side be a wall of slope 0."
                 raise SceneError(f"{path}.sides.{face}.{key}", problem, hint)
-    if nutrient.perfusion == 0.0 and not touches_medium(nutrient, scene.dimensions):
+    if nutrient.perfusion == 0.0 and not touches_medium(
+        nutrient, scene.dimensions, repeating(scene)
+    ):
         hint = "Let one side be of type 'value', or give a perfusion."
         raise SceneError(f"{path}.finite_medium", "touches no side: all are walls", hint)
     if nutrient.media_change == "linear":
@@ -396,7 +415,7 @@ def _check_regime(scene: Scene, group: list[str]) -> None:
         problem = f"is 'steady', but {given['transient']}, with which it reacts, is 'transient'"
         raise SceneError(f"nutrients.{given['steady']}.regime", problem, "Make both the same.")
     for name in group:
-        if not level_fixed(scene.nutrients[name], scene.dimensions):
+        if not level_fixed(scene.nutrients[name], scene.dimensions, repeating(scene)):
             problem = f"is 'steady', but nothing fixes the level of {name}, with which it reacts"
             hint = "Let them be 'transient', or give a side a value, a perfusion or a decay."
             raise SceneError(f"nutrients.{given['steady']}.regime", problem, hint)

@@ -66,6 +66,7 @@ SCALING_EXPONENTS: Final[Mapping[str, int | str]] = {
     # what has no law
     "initial.cells": "gives the places of single cells",
     "pull": "breaks single contacts, which a continuum does not have",
+    "motility.diffusion": "moves single cells at random, which a continuum does not have",
     "motions.*.cells": "names single cells; choose them by type or region",
     **{f"{table}.{key}".lstrip("."): 0 for table, keys in _SAME.items() for key in keys.split()},
 }

@@ -92,7 +92,8 @@ def _needs(
 
 def counts_contacts(scene: Scene) -> bool:
     """Return whether anything asks for the pairs in contact; to find them costs a little."""
-    if scene.contact.remembers or len(scene.types) > 1 or scene.pull is not None:
+    several = len(scene.types) > 1 and scene.contact.acts
+    if scene.contact.remembers or several or scene.pull is not None:
         return True
     named = {name for part in scene.responses.values() for name in part.signals}
     named |= {name for part in scene.networks.values() for name in (part.inputs or {}).values()}

@@ -47,9 +47,48 @@ def check_domain(scene: Scene) -> None:
         if ends is None:
             hint = f"For example {axis} = ['-100 um', '100 um']."
             raise SceneError(f"domain.{axis}", "is missing: a domain has all sides", hint)
-        if ends[1] - ends[0] < widest:
+        if axis not in scene.domain.periodic and ends[1] - ends[0] < widest:
             problem = f"is {ends[1] - ends[0]:g} um long, must be at least {widest:g} um"
             raise SceneError(f"domain.{axis}", problem, "A cell that divides must fit in.")
+    if scene.domain.periodic:
+        _check_periodic(scene, scene.domain)
+
+
+def _check_periodic(scene: Scene, domain: Domain) -> None:
+    """Raise ``SceneError`` for axes too short to repeat, and for parts that need a centre."""
+    for axis in domain.periodic:
+        if axis not in "xyz"[: scene.dimensions]:
+            raise SceneError("domain.periodic", f"has {axis}, which 2 dimensions do not have")
+        low, high = getattr(domain, axis)
+        least = 2.0 * _interaction_range(scene)
+        if high - low < least:
+            problem = f"is {high - low:g} um long, must be at least {least:.4g} um to repeat"
+            hint = "No cell may be in reach of two images of another one."
+            raise SceneError(f"domain.{axis}", problem, hint)
+        for name, nutrient in scene.nutrients.items():
+            for face in sorted({axis, axis + "-", axis + "+"} & set(nutrient.sides)):
+                problem = f"has no meaning: space repeats along {axis}"
+                raise SceneError(f"nutrients.{name}.sides.{face}", problem, "Leave it out.")
+    for part in ("pull", "surface"):
+        if getattr(scene, part) is not None:
+            problem = "has no meaning where space repeats: tissue has neither centre nor rim there"
+            raise SceneError(part, problem, "Leave it out, or domain.periodic.")
+    if scene.compression is not None and len(set(domain.periodic)) < 3:
+        hint = "Let all axes repeat, or none."
+        raise SceneError("compression", "is not computed between walls where space repeats", hint)
+
+
+def _interaction_range(scene: Scene) -> float:
+    """Return the largest distance at which two cells of a scene may act on each other, µm."""
+    swelling = 1.0 if scene.death is None else scene.death.swelling
+    largest = scene.cells.division_radius * swelling ** (1.0 / 3.0)
+    kinds, law = scene.types.values(), scene.contact
+    young = min((kind.young or scene.cells.young for kind in kinds), default=scene.cells.young)
+    energies = [e for kind in kinds for e in (kind.surface_energy or {}).values()]
+    if energies:
+        law = law.with_surface_energy(max(energies))
+    softest = 0.5 / float(compliance(young, scene.cells.poisson))
+    return 2.0 * float(law.list_radius(np.array([largest]), softest)[0])
 
 
 def sides(domain: Domain) -> list[float]:
@@ -110,8 +149,8 @@ def walls(scene: Scene) -> Walls | Sphere | None:
         return Sphere(domain.radius, soft, domain.stiffness and domain.stiffness / 3.0)
     from multicell.mechanics.walls import Walls
 
-    low, high = domain.corners()
-    return Walls(np.array(low), np.array(high), soft)
+    low, high = domain.sides()
+    return Walls(low, high, soft) if np.isfinite(low).any() else None
 
 
 def check_start(scene: Scene, cells: Cells) -> None:
@@ -153,7 +192,7 @@ def strayed(domain: Domain, position: FloatArray) -> tuple[int, str] | None:
         place = position[beyond[0]]
         axis = int(np.abs(place).argmax())
         return int(beyond[0]), "xyz"[axis] + ("-" if place[axis] < 0.0 else "+")
-    low, high = (np.array(corner) for corner in domain.corners())
+    low, high = domain.sides()
     below, above = ~(position >= low), ~(position <= high)
     outside = below | above
     if not outside.any():

@@ -11,6 +11,7 @@ from typing import Any, final
 import numpy as np
 
 from multicell.errors import SceneError
+from multicell.scene.formulas import check_formula
 from multicell.schema import (
     choice,
     number,
@@ -22,6 +23,7 @@ from multicell.schema import (
     table,
     tables,
     text,
+    vector,
 )
 
 MAX_CONCENTRATION = 1e5
@@ -133,6 +135,30 @@ class FiniteMedium:
     replaced: float = number(
         default=1.0, above=0, at_most=1, doc="part of the stirred medium that a change replaces"
     )
+
+
+@final
+@parameters
+class Release:
+    """An amount that is there at once: at a place, or shared by the cells of a type."""
+
+    amount: float = quantity("amol", above=0, at_most=1e30, doc="in all")
+    time: float = quantity("s", default=0.0, at_least=0, doc="of the release")
+    place: tuple[float, float, float] | None = vector(
+        "um", default=None, doc="where; absent: from cells"
+    )
+    radius: float = quantity(
+        "um", default=0.0, at_least=0, at_most=1e6, doc="of the ball at the place that it fills"
+    )
+    type: str = text(default="", doc="name of the cells' type that release it, each as much")
+
+    def check(self) -> None:
+        """Raise ``SceneError`` unless it comes from a place or from cells."""
+        if (self.place is None) == (not self.type):
+            hint = "For example place = [0, 0, 0], or type = 'donor'."
+            raise SceneError("place", "or a type must be given, and not both", hint)
+        if self.radius and self.type:
+            raise SceneError("radius", "has no meaning: cells release from their own balls")
 
 
 @final
@@ -250,6 +276,12 @@ class Nutrient:
     initial: str = choice(
         ["medium", "steady"], default="medium", doc="where a transient field starts from"
     )
+    initial_formula: str = text(
+        default="",
+        doc="concentration in mM that a transient field starts from: arithmetic of x, y, z in um, "
+        "as '0.1 * exp(-(x**2 + y**2) / 400)'; absent: initial says it",
+    )
+    release: Mapping[str, Release] = tables(Release, doc="of a transient field; absent: none")
     geometry: str | None = choice(
         ["box", "radial", "auto"],
         default=None,
@@ -313,6 +345,13 @@ class Nutrient:
             hint = "uptake is that of a cell whatever its size; remove one of them."
             raise SceneError("uptake_per_volume", problem, hint)
         check_order(self.necrosis, self.quiescence, "mM", "necrosis")
+        if self.initial_formula:
+            check_formula(self.initial_formula, "initial_formula")
+            if self.initial != "medium":
+                raise SceneError("initial", f"is '{self.initial}', but there is an initial_formula")
+            if self.layout != "box":
+                hint = "Take geometry = 'box'."
+                raise SceneError("initial_formula", "has no meaning on shells", hint)
         if self.geometry == "radial":
             for face in self.sides:
                 if face not in ("*", "r+"):

@@ -131,7 +131,7 @@ def _times(scene: Scene) -> list[float]:
 
 def collapse_notes(scene: Scene) -> Iterator[str]:
     """Yield a remark on each two types whose cells attract each other too much."""
-    if scene.growth is None and scene.initial.count <= _TOUCHING:
+    if not scene.contact.acts or (scene.growth is None and scene.initial.count <= _TOUCHING):
         return
     if scene.compression is not None:  # its energy grows with the square of the density
         return

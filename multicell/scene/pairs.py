@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations_with_replacement
@@ -51,6 +52,12 @@ def daughters_stiffness(scene: Scene) -> float:
     mother, daughter = scene.cells.division_radius, birth_radius(scene)
     overlap = 2.0 * daughter - 2.0 * (mother - daughter)
     return max(pair.stiffness(overlap) for _, pair in type_pairs(scene, daughter))
+
+
+def explicit_limit(scene: Scene) -> float:
+    """Return drag over stiffness of two fresh daughters, s; infinite where none acts on another."""
+    stiffness = daughters_stiffness(scene)
+    return drag(scene, birth_radius(scene)) / stiffness if stiffness else math.inf
 
 
 def type_pairs(scene: Scene, radius: float, time: float = 0.0) -> Iterator[tuple[str, Pair]]:

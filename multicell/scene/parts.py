@@ -31,6 +31,7 @@ from multicell.schema import (
     vector,
 )
 from multicell.units import shown
+from multicell.vectors import wrapped
 
 if TYPE_CHECKING:
     from multicell.vectors import FloatArray
@@ -45,7 +46,12 @@ _stiffness = partial(quantity, "kPa", default=None, above=0, at_most=1e9)
 class CellParameters:
     """Size and elasticity of the cells."""
 
-    division_radius: float = quantity("um", default=5.0, above=0, doc="at which a cell divides")
+    division_radius: float = quantity(
+        "um",
+        default=5.0,
+        above=0,
+        doc="at which a cell divides; newborn cells, and all without growth, have 0.794 of it",
+    )
     young: float = quantity("kPa", default=1.0, above=0, doc="mean Young's modulus")
     young_variation: float = number(
         default=0.1, at_least=0, at_most=0.5, doc="coefficient of variation of Young's modulus"
@@ -412,6 +418,15 @@ class CellType:
     motility_scale: float = number(
         default=1.0, at_least=0, doc="active forces / those of the scene"
     )
+    chemotaxis_of: Mapping[str, float] | None = quantities(
+        "",
+        at_least=-1e6,
+        at_most=1e6,
+        doc="factors on the forces of chemotaxis, by field; negative: the other way, 0: not at all",
+    )
+    diffusion_scale: float = number(
+        default=1.0, at_least=0, at_most=1e6, doc="diffusion by motility / that of the scene"
+    )
 
     @property
     def sticks(self) -> bool:
@@ -503,13 +518,21 @@ class Chemotaxis:
 @final
 @parameters
 class Motility:
-    """Persistent random motion: a constant force whose direction is drawn anew at intervals.
+    """Random motion: a constant force whose direction is drawn anew at intervals, and diffusion.
+
+    Diffusion is Brownian motion. It enters as a random force that is constant over an internal
+    step, so that all methods of integration follow the same path.
 
     With a bias b its direction is that of ``b u + (1 - |b|) e``: e is drawn at random, u is the
     fixed ``direction``, or that of the gradient of the field ``towards`` where the cell is.
     """
 
-    force: float = quantity("nN", default=0.1, at_least=0, doc="of every living cell")
+    force: float = quantity(
+        "nN",
+        default=None,
+        at_least=0,
+        doc="of every living cell; absent: 0.1 nN, or none where cells diffuse",
+    )
     persistence: float = quantity(
         "s", default=600.0, above=0, doc="polarisation time, between two changes of direction"
     )
@@ -525,9 +548,41 @@ class Motility:
         "", default=None, doc="that a bias is along, of any length"
     )
     towards: str = text(default="", doc="name of the field whose gradient a bias is along")
+    diffusion: float | None = quantity(
+        "um^2/s",
+        default=None,
+        above=0,
+        at_most=1e6,
+        doc="D of living cells that touch nothing, by Brownian motion beside the force: their mean "
+        "square displacement in a time t is 2 D t along each axis",
+    )
+    diffusion_step: float | None = quantity(
+        "s",
+        default=None,
+        above=0,
+        at_least=1e-6,
+        doc="internal step: longest time for which the force of diffusion is constant, halved from "
+        "above to a power of two of the coupling step; absent: a free cell diffuses a fifth of its "
+        "birth radius in it",
+    )
+
+    def prepare(self) -> None:
+        """Let cells that diffuse have no force unless one is given."""
+        if self.force is None:
+            object.__setattr__(self, "force", 0.1 if self.diffusion is None else 0.0)
+
+    @property
+    def pushes(self) -> bool:
+        """Whether cells have a force beside their diffusion."""
+        return self.force > 0.0 or self.diffusion is None
 
     def check(self) -> None:
-        """Raise ``SceneError`` for a bias along nothing, and for a way without a bias."""
+        """Raise ``SceneError`` for keys without effect, and for a bias along nothing."""
+        if self.diffusion_step is not None and self.diffusion is None:
+            raise SceneError("diffusion_step", "has no effect: there is no motility.diffusion")
+        if self.bias and not self.pushes:
+            hint = "Give motility.force, or leave bias out."
+            raise SceneError("bias", "has no effect: cells diffuse, and have no force", hint)
         given = [name for name in ("direction", "towards") if getattr(self, name)]
         if self.bias and len(given) != 1:
             problem = "needs a direction, or a field that it is towards; not both"
@@ -560,6 +615,11 @@ class Domain:
     x: tuple[float, float] | None = span(doc="from side x- to side x+")
     y: tuple[float, float] | None = span(doc="from side y- to side y+")
     z: tuple[float, float] | None = span(doc="from side z- to side z+; not in two dimensions")
+    periodic: tuple[str, ...] = names(
+        "xyz",
+        doc="axes of a box along which space repeats, as ['x', 'y']: no walls stand there, and "
+        "cells and fields meet those at the other side",
+    )
     young: float | None = _stiffness(doc="Young's modulus of the walls; absent: that of the cells")
     poisson: float | None = number(
         default=None,
@@ -572,11 +632,38 @@ class Domain:
     def check(self) -> None:
         """Raise ``SceneError`` for keys that have no meaning together."""
         sphere = self.shape == "sphere"
-        for name in ("x", "y", "z") if sphere else ("radius", "stiffness"):
-            if getattr(self, name) is not None:
+        for name in ("x", "y", "z", "periodic") if sphere else ("radius", "stiffness"):
+            if getattr(self, name):
                 raise SceneError(name, f"has no meaning where shape = '{self.shape}'")
         if sphere and self.radius is None:
             raise SceneError("radius", "is missing: a sphere has one", "Such as '100 um'.")
+
+    @property
+    def repeats(self) -> tuple[bool, bool, bool]:
+        """Whether space repeats along each axis."""
+        x, y, z = (axis in self.periodic for axis in "xyz")
+        return x, y, z
+
+    @property
+    def period(self) -> FloatArray | None:
+        """Length after which space repeats along each axis, (3,) µm, zero where it does not."""
+        if not self.periodic:
+            return None
+        low, high = self.corners()
+        return np.where(self.repeats, np.subtract(high, low), 0.0)
+
+    def inside(self, position: FloatArray) -> FloatArray:
+        """Return the images of places (n, 3) in µm that lie in the domain, where space repeats."""
+        period = self.period
+        if period is None:
+            return position
+        low = np.where(self.repeats, self.corners()[0], 0.0)
+        return low + wrapped(position - low, period)
+
+    def sides(self) -> tuple[FloatArray, FloatArray]:
+        """Return the lower and the upper walls of a box, (3,) µm, infinite where there is none."""
+        low, high = self.corners()
+        return np.where(self.repeats, -np.inf, low), np.where(self.repeats, np.inf, high)
 
     def corners(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         """Return the lower and the upper corner, µm, infinite along an axis that is absent."""

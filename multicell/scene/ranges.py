@@ -79,6 +79,8 @@ def _check_overlap(scene: Scene) -> None:
     the largest surface energy and the most bonds that occur, with the smallest mean modulus.
     """
     law = scene.contact
+    if not law.acts:
+        return
     energies = [e for k in scene.types.values() for e in (k.surface_energy or {}).values()]
     young = min((k.young or scene.cells.young for k in scene.types.values()), default=0.0)
     young, poisson = young or scene.cells.young, scene.cells.poisson

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
@@ -25,17 +26,18 @@ MAX_NODES = 256**3
 """Largest grid that is ever laid: an array of it takes 128 MiB, a solve about fifteen of them."""
 
 
-def level_fixed(nutrient: Nutrient, dimensions: int = 3) -> bool:
+def level_fixed(nutrient: Nutrient, dimensions: int = 3, periodic: Sequence[str] = ()) -> bool:
     """Return whether sides, perfusion or decay fix the level of a steady field.
 
-    A field that may go over from shells to a box needs it on both.
+    A field that may go over from shells to a box needs it on both. There are no sides across the
+    axes that are ``periodic``.
     """
     if nutrient.perfusion > 0.0 or nutrient.decay > 0.0:
         return True
-    return touches_medium(nutrient, dimensions)
+    return touches_medium(nutrient, dimensions, periodic)
 
 
-def touches_medium(nutrient: Nutrient, dimensions: int = 3) -> bool:
+def touches_medium(nutrient: Nutrient, dimensions: int = 3, periodic: Sequence[str] = ()) -> bool:
     """Return whether a side is no wall, on every geometry that a field may have."""
     shells = nutrient.layout != "box" and dimensions == 3
     cubes = nutrient.layout != "radial"
@@ -44,7 +46,15 @@ def touches_medium(nutrient: Nutrient, dimensions: int = 3) -> bool:
         for faces, used in ((("r+",), shells), (_faces(dimensions), cubes))
         if used
     ]
+    if periodic:
+        sides = (face for face in _faces(dimensions) if face[0] not in periodic)
+        return any(_side(nutrient, face).type == "value" for face in sides)
     return all(fixed)
+
+
+def repeating(scene: Scene) -> tuple[str, ...]:
+    """Return the axes along which the space of a scene repeats."""
+    return () if scene.domain is None else scene.domain.periodic
 
 
 def _faces(dimensions: int) -> tuple[str, ...]:
@@ -91,20 +101,21 @@ def scales(scene: Scene, name: str) -> Scales:
     radius = tissue_radius(scene)
     length = min(depth, radius) + (nutrient.margin if nutrient.layer is None else nutrient.layer)
     if scene.box is not None:
-        length = slowest(nutrient, box.sides(scene.box))
+        length = slowest(nutrient, box.sides(scene.box), scene.box.periodic)
     damkohler = demand * radius**2 / supply if supply > 0.0 else math.inf
     return Scales(demand, depth, length, length**2 / nutrient.diffusion, damkohler)
 
 
-def slowest(nutrient: Nutrient, lengths: list[float]) -> float:
+def slowest(nutrient: Nutrient, lengths: list[float], periodic: Sequence[str] = ()) -> float:
     """Return the length 1/|k| of the slowest mode of diffusion in a box, µm.
 
     Along an axis of length L it has k = π/L between two values, π/2L between a value and a wall,
-    and 0 between walls.
+    and 0 between walls and where space repeats.
     """
     square = 0.0
     for axis, length in zip("xyz", lengths, strict=False):
         fixed = sum(_side(nutrient, axis + end).type == "value" for end in "-+")
+        fixed = 0 if axis in periodic else fixed
         square += (0.5 * math.pi * fixed / length) ** 2
     return 1.0 / math.sqrt(square) if square > 0.0 else max(lengths) / math.pi
 
@@ -138,7 +149,7 @@ def regime(scene: Scene, name: str) -> str:
     if nutrient.regime != "auto":
         return nutrient.regime
     settles = scales(scene, name).time <= _SETTLED * scene.coupling_step
-    fixed = level_fixed(nutrient, scene.dimensions)
+    fixed = level_fixed(nutrient, scene.dimensions, repeating(scene))
     return "steady" if settles and fixed else "transient"
 
 

@@ -217,6 +217,9 @@ class Scene:
     def from_dict(cls, entries: Mapping[str, Any]) -> Scene:
         """Return the scene that a dict with the keys of the TOML file describes.
 
+        Without a ``contact`` the law is JKR, with which the other parts are checked at once: a law
+        that they need is named here, not in a :meth:`with_changes` that follows.
+
         Raises
         ------
         SceneError

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from multicell.cells import SPHERE
 
 if TYPE_CHECKING:
+    from multicell.mechanics.brownian import BrownianPaths
     from multicell.scene.scene import Scene
 
 
@@ -36,3 +37,33 @@ def typical_radius(scene: Scene) -> float:
     if scene.growth is None and scene.initial.stage == "birth" and scene.initial.cells is None:
         return birth_radius(scene)
     return math.sqrt(birth_radius(scene) * scene.cells.division_radius)
+
+
+_FINE: Final = 0.2
+"""Part of the birth radius that a free cell diffuses in an internal step, where none is given."""
+
+
+def internal_step(scene: Scene) -> float:
+    """Return the longest time in s for which a force of Brownian motion is constant.
+
+    It is given, or so short that the free cells that move most go a fifth of the birth radius along
+    an axis in it (root mean square).
+    """
+    law = scene.motility
+    assert law is not None
+    assert law.diffusion is not None
+    if law.diffusion_step is not None:
+        return law.diffusion_step
+    scale = max((kind.diffusion_scale for kind in scene.types.values()), default=1.0)
+    way = _FINE * birth_radius(scene)
+    return scene.coupling_step if not scale else way**2 / (2.0 * scale * law.diffusion)
+
+
+def brownian_paths(scene: Scene) -> BrownianPaths | None:
+    """Return the paths of a scene's cells by Brownian motion; nothing is loaded without."""
+    if scene.motility is None or scene.motility.diffusion is None:
+        return None
+    from multicell.mechanics.brownian import BrownianPaths
+
+    longest = internal_step(scene)
+    return BrownianPaths(scene.seed, scene.dimensions, scene.coupling_step, longest)

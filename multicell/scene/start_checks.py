@@ -11,7 +11,7 @@ from multicell.cells import Phase, State
 from multicell.errors import DataError
 from multicell.scene.domain import strayed
 from multicell.scene.sizes import birth_radius
-from multicell.scene.start_table import near_pairs, positions
+from multicell.scene.start_table import near_pairs, positions, refuse_coinciding
 from multicell.schema import near_miss
 from multicell.tables.titles import titled
 
@@ -33,6 +33,8 @@ def check_start_table(scene: Scene) -> None:
     """Raise ``DataError`` with row and column for cells that cannot start in a scene."""
     assert scene.initial.cells is not None
     given = scene.initial.cells.given
+    if scene.contact.acts:
+        refuse_coinciding(given)
     _check_axes(scene, given)
     kinds_of(scene, given)
     _check_phases(scene, given)

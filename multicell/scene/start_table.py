@@ -368,14 +368,13 @@ def normalise(source: Columns) -> Given:
         if f"position_{axis}" not in made:
             hint = f"Columns are titled with their units, as '{titled(f'position_{axis}', 'um')}'."
             raise DataError(source.name, f"has no column for {axis}", hint)
-    _refuse_coinciding(given)
     if "kind" not in titles:
         return given
     kinds, codes = _kinds(source.columns[titles["kind"]])
     return Given({**made, "kind": codes} if kinds else made, kinds, source, titles)
 
 
-def _refuse_coinciding(given: Given) -> None:
+def refuse_coinciding(given: Given) -> None:
     """Refuse two cells at one place: between them no force has a direction."""
     pairs = _same_places(positions(given))
     if not len(pairs):

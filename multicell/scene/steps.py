@@ -109,6 +109,7 @@ def _scheduled(scene: Scene) -> Iterator[float]:
     """Yield the times in s at which something scheduled begins, ends or changes its slope."""
     for field in scene.nutrients.values():
         yield from (time for time, _ in field.media or ())
+        yield from (release.time for release in field.release.values())
     for course in scene.radiation.values():
         yield from course.schedule
     for motion in scene.motions.values():

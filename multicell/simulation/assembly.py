@@ -12,6 +12,7 @@ from multicell.mechanics import neighbours
 from multicell.mechanics.system import Mechanics
 from multicell.scene import pairs
 from multicell.scene.domain import walls
+from multicell.vectors import wrapped
 
 if TYPE_CHECKING:
     from multicell.cells import Cells
@@ -30,6 +31,7 @@ def mechanics_of(scene: Scene, threads: int) -> Mechanics:
         surface_energies=pairs.surface_energies(scene),
         walls=walls(scene),
         compression=pairs.compression(scene),
+        period=None if scene.domain is None else scene.domain.period,
         work=ChosenWork(),
     )
 
@@ -40,11 +42,19 @@ def apart_at_start(scene: Scene, cells: Cells) -> Cells:
     Each but one of them moves by a millionth of its radius along a random direction; the
     contact forces do the rest.
     """
-    if len(cells) < 2:
+    if len(cells) < 2 or not scene.contact.acts:
         return cells
     # a thousand cells at one place are half a million pairs: those behind the first are only named
-    first = np.sort(np.unique(cells.position, axis=0, return_index=True)[1])
-    near = neighbours.neighbour_pairs(cells.position[first], 1e-9 * float(cells.radius.min()))
+    period, place = None if scene.domain is None else scene.domain.period, cells.position
+    if period is not None:
+        place = wrapped(place, period)
+    first = np.sort(np.unique(place, axis=0, return_index=True)[1])
+    cutoff = 1e-9 * float(cells.radius.min())
+    if period is None:
+        near = neighbours.neighbour_pairs(place[first], cutoff)
+    else:
+        half = np.full(len(first), 0.5 * cutoff)
+        near = neighbours.build_periodic(place[first], half, period).pairs()
     later = np.delete(np.arange(len(cells)), first)
     moved = np.union1d(later, first[near[:, 1]])
     if len(moved):

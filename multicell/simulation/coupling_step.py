@@ -25,6 +25,7 @@ from multicell.cells import contact_rows
 from multicell.mechanics import neighbours
 from multicell.simulation.run_state import RunState
 from multicell.simulation.timeline import Laps
+from multicell.vectors import wrapped
 
 if TYPE_CHECKING:
     from multicell.biology.step import Decided, Grown
@@ -167,14 +168,16 @@ def _after_events(
         named = driven.pass_on(named, cells, first)
         if len(contacts):
             contacts = cells.id[contact_rows(cells, contacts)]
-    cells, unsorted = sorted_in_space(cells, unsorted)
+    cells, unsorted = sorted_in_space(cells, unsorted, run.mover.system.period)
     released = state.released + lost + after.released
     return _People(
         cells, contacts, lineage, named, after.next_id, unsorted, after.removals, released
     )
 
 
-def sorted_in_space(cells: Cells, unsorted: int) -> tuple[Cells, int]:
+def sorted_in_space(
+    cells: Cells, unsorted: int, period: FloatArray | None = None
+) -> tuple[Cells, int]:
     """Return cells sorted in space where many are new, and how many are since the last sorting.
 
     Neighbours then share memory.
@@ -182,7 +185,8 @@ def sorted_in_space(cells: Cells, unsorted: int) -> tuple[Cells, int]:
     if unsorted <= _STALE_ORDER * len(cells):
         return cells, unsorted
     width = 2.0 * float(cells.radius.max(initial=1.0))
-    return cells.take(neighbours.spatial_order(cells.position, width)), 0
+    place = cells.position if period is None else wrapped(cells.position, period)
+    return cells.take(neighbours.spatial_order(place, width)), 0
 
 
 @final

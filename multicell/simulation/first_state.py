@@ -44,7 +44,8 @@ def begun(run: Machinery, cells: Cells, lineage: Lineage, *, given_states: bool)
     if networks is not None:
         cells = cells.shared()
         networks.begin(cells)
-    cells, unsorted = sorted_in_space(bind(run.plan, cells, cells, {}, time), len(cells))
+    bound, period = bind(run.plan, cells, cells, {}, time), run.mover.system.period
+    cells, unsorted = sorted_in_space(bound, len(cells), period)
     state = RunState(
         cells=cells,
         timeline=timeline,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
@@ -12,6 +13,7 @@ from multicell.integrators.shift import SHIFT, Replays, replay_step, shifted_pos
 from multicell.integrators.stability import Stability
 from multicell.scene.dependences import counts_contacts
 from multicell.scene.domain import check_inside
+from multicell.scene.sizes import brownian_paths
 from multicell.simulation.assembly import mechanics_of
 
 if TYPE_CHECKING:
@@ -54,6 +56,8 @@ class Mover:
         self.limit = stability.limit_of(self.integrator)
         self._seed, self._dimensions, self._domain = scene.seed, scene.dimensions, scene.domain
         self._counts = counts_contacts(scene)
+        self._is_free = not scene.contact.acts and self.system.walls is None
+        self._paths: Any = brownian_paths(scene)
         self._gel: Any = self.system.walls if getattr(self.system.walls, "shear", None) else None
 
     @property
@@ -81,24 +85,72 @@ class Mover:
         Raises StepFailed if the integrator fails, a cell leaves the domain, or the method's step is
         too long.
         """
-        system, end = self.system, motion.end
         if len(cells) == 0 or self._is_alone(motion):
             return Moved(cells.position.copy(), np.zeros(len(cells)), None, replays, known)
+        if self._is_free:
+            return self._drifted(cells, motion, replays, known)
+        if motion.diffusion is not None:
+            return self._shake(cells, motion, motion.diffusion, replays, known)
+        moved, reached, cost = self._integrate(cells.id, cells.position, motion, known)
+        replays = self._replay(cells, reached, cost, step, replays)
+        return moved._replace(replays=replays)
+
+    def _integrate(
+        self, ids: IntArray, position: FloatArray, motion: Motion, known: Stability | None
+    ) -> tuple[Moved, FloatArray, float]:
+        """Integrate a motion; return it without replays, where the method got, and its cost."""
+        system, end = self.system, motion.end
         system.begin(motion)
-        known = self._check_begin(cells.position, known)
+        known = self._check_begin(position, known)
         before = system.work.effort
-        outcome = self.integrator.integrate(system, cells.position)
+        outcome = self.integrator.integrate(system, position)
         if not outcome.done:
-            cell = None if outcome.cell is None else int(cells.id[outcome.cell])
+            cell = None if outcome.cell is None else int(ids[outcome.cell])
             raise StepFailed(outcome.time, outcome.problem, outcome.hint, cell)
-        position = system.at_end(outcome.position)
-        check_inside(self._domain, cells.id, position, end)
+        placed = system.at_end(outcome.position)
+        check_inside(self._domain, ids, placed, end)
         pressure = system.pressure(end, outcome.position)
         contacts = system.contacts(end, outcome.position) if self._counts else None
-        cost = float((system.work.effort - before) * len(cells))
+        cost = float((system.work.effort - before) * len(ids))
         known = self._check_end(outcome.position, cost, known)
-        replays = self._replay(cells, outcome.position, cost, step, replays)
-        return Moved(position, pressure, contacts, replays, known)
+        return Moved(placed, pressure, contacts, None, known), outcome.position, cost
+
+    def _shake(
+        self,
+        cells: Cells,
+        motion: Motion,
+        diffusion: FloatArray,
+        replays: Replays | None,
+        known: Stability | None,
+    ) -> Moved:
+        """Integrate a motion with diffusion: internal steps, with one random force in each.
+
+        Nothing is taken again from another start: another path changes more.
+        """
+        position, touching = cells.position, motion.touching
+        times = self._paths.times(motion.begin, motion.end)
+        moves = self._paths.moves(times, cells.id)
+        scale = np.sqrt(2.0 * diffusion)[:, None]
+        for begin, end in pairwise(times):
+            part = motion.part(begin, end, self.system.drag, scale * next(moves), touching)
+            moved, _, _ = self._integrate(cells.id, position, part, known)
+            position, known = moved.position, moved.stability
+            touching = moved.contacts if motion.touching is not None else None
+        return moved._replace(replays=replays)
+
+    def _drifted(
+        self, cells: Cells, motion: Motion, replays: Replays | None, known: Stability | None
+    ) -> Moved:
+        """Return cells that nothing but forces of their own and from outside moves: exactly."""
+        position = cells.position + motion.drift(self.system.drag)
+        if motion.diffusion is not None:
+            (move,) = self._paths.moves([motion.begin, motion.end], cells.id)
+            position += np.sqrt(2.0 * motion.diffusion)[:, None] * move
+        contacts = None
+        if self._counts:
+            self.system.begin(motion)
+            contacts = self.system.contacts(motion.end, position)
+        return Moved(position, np.zeros(len(cells)), contacts, replays, known)
 
     def contacts(self, cells: Cells, motion: Motion) -> IntArray | None:
         """Return indices of the pairs that overlap, (m, 2), before any of them has touched."""
@@ -109,7 +161,7 @@ class Mover:
 
     def _is_alone(self, motion: Motion) -> bool:
         """Return whether there is one cell that nothing acts on: it stays where it is."""
-        moves = motion.push is not None or motion.held is not None
+        moves = not (motion.push is motion.held is motion.diffusion is None)
         return len(motion.radius) == 1 and not moves and self.system.walls is None
 
     def _check_begin(self, position: FloatArray, known: Stability | None) -> Stability | None:

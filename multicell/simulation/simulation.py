@@ -12,7 +12,7 @@ from multicell.biology.step import grow
 from multicell.cells import Cells
 from multicell.compiling.threads import thread_count
 from multicell.contact.custom import Compiling
-from multicell.errors import NutrientFailed, StepFailed
+from multicell.errors import NutrientFailed, SceneError, StepFailed
 from multicell.host.interrupts import UNCUT, WHOLE_STEP
 from multicell.results import summary
 from multicell.results.lineage import Lineage
@@ -207,7 +207,15 @@ class Simulation:
         return self.state.frame(shared=shared)
 
     def prepared(self) -> Mechanics:
-        """Return the mechanics made ready for the next coupling step, which is not taken."""
+        """Return the mechanics made ready for the next coupling step, which is not taken.
+
+        Raises SceneError where cells diffuse: their motion is no equation without random numbers.
+        """
+        law = self.scene.motility
+        if law is not None and law.diffusion is not None:
+            hint = "Leave it out here: with_changes({'motility.diffusion': None})."
+            problem = "makes motion random; what is asked for is a step of an equation of motion"
+            raise SceneError("motility.diffusion", problem, hint)
         state, run = self.state, self._run
         begin, end = self.time, self.timeline.next_time
         found = run.signals_of(state)

@@ -14,11 +14,11 @@ from matplotlib.lines import Line2D
 
 from multicell.cells import Cells
 from multicell.errors import OutputError
+from multicell.population.extents import centre
 from multicell.report.plots import style
 from multicell.report.plots.colouring import Colouring, colouring
 from multicell.report.plots.section import draw_discs, frame_window, scale_bar, window
 from multicell.report.wording import cell_count
-from multicell.results.observables import centre
 from multicell.results.reader import Contents, Frames
 from multicell.studies import picture_data as of
 from multicell.studies.runs import StudyRun

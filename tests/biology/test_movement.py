@@ -231,3 +231,31 @@ def test_a_bias_follows_the_gradient_of_a_field():
 def test_a_bias_without_meaning_is_refused(motility, path, words):
     with refused(path, words):
         walking(1, dimensions=2, **motility)
+
+
+def test_types_follow_fields_by_factors_of_their_own():
+    """One goes the other way along one field, one ignores it; forces of two fields add up."""
+    fields = {name: {"uptake": 0, "regime": "steady"} for name in ("guide", "food")}
+    scene = free(
+        initial__count=60,
+        types={
+            "a": {"chemotaxis_of": {"guide": -2}},
+            "b": {"chemotaxis_of": {"guide": 0, "food": 0.5}, "motility_scale": 3.0},
+            "c": {},
+        },
+        nutrients=fields,
+        chemotaxis={"guide": {"force": 2.0}, "food": {"force": -1.0, "half": 1e-3}},
+    )
+    plan, cells = biology_plan(scene), initial_cells(scene)
+    guide, food = np.random.default_rng(1).normal(0.0, 1e-3, (2, 60, 3))
+    alone = [
+        force * g / (np.linalg.norm(g, axis=1, keepdims=True) + half)
+        for force, half, g in ((2.0, 1e-4, guide), (-1.0, 1e-3, food))
+    ]
+    factors = np.array([[-2.0, 1.0], [0.0, 1.5], [1.0, 1.0]])[cells.kind]
+    exact = factors[:, :1] * alone[0] + factors[:, 1:] * alone[1]
+    assert set(cells.kind) == {0, 1, 2}
+    found = push(plan, cells, 0.0, {"guide": guide, "food": food})
+    np.testing.assert_allclose(found[:, :3], exact, rtol=1e-12)
+    with refused("types.a.chemotaxis_of.fod", "food"):
+        free(types={"a": {"chemotaxis_of": {"fod": 1}}}, nutrients=fields, chemotaxis={"food": {}})

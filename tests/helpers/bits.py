@@ -30,6 +30,9 @@ PHYSICS = {
     "types": ("sorting", {"duration": "15 min", "initial.count": 150}),
     "phases": ("growth", {"initial.count": 150, "initial.stage": "uniform", "duration": "100 min",
                           "growth.phases": PHASES}),
+    "space that repeats": ("settle", {**TISSUE, "domain": {axis: [-20, 20] for axis in "xyz"}
+                                      | {"periodic": ["x", "y", "z"]}}),
+    "Brownian motion": ("settle", {**TISSUE, "motility": {"diffusion": "0.01 um^2/s"}}),
     "plane": ("settle", {**TISSUE, "dimensions": 2}),
     "walls": ("settle", {**TISSUE, "domain": {axis: [-22, 22] for axis in "xyz"}}),
     "compression": ("settle", {**TISSUE, "initial.spacing": 0.72, "compression": {},

@@ -245,6 +245,28 @@ def special():
     del scene["nutrients"]["oxygen"]["necrosis"]
     scene["nutrients"]["oxygen"]["relative"] = {"necrosis": {"to": "quiescence", "factor": 0.97}}
     yield "relative", scene
+    yield "drifting", {
+        "seed": 2, "duration": 240.0, "coupling_step": 60.0, "initial": {"count": 20},
+        "contact": {"law": "hertz"},
+        "types": {
+            "a": {"fraction": 0.5, "diffusion_scale": 2.0, "chemotaxis_of": {"guide": -2.0}},
+            "b": {"fraction": 0.5},
+        },
+        "motility": {"diffusion": "0.02 um^2/s", "diffusion_step": "20 s"},
+        "chemotaxis": {"guide": {"force": "0.2 nN", "half": "1e-3 mM/um"}},
+        "domain": {axis: [-20.0, 20.0] for axis in "xyz"} | {"periodic": ["x", "y"]},
+        "nutrients": {"guide": {
+            "diffusion": "50 um^2/s", "boundary": "0.1 mM", "spacing": "4 um", "uptake": 0,
+            "secretion": "5 amol/s", "regime": "steady",
+        }, "drop": {
+            "diffusion": "0.5 um^2/s", "boundary": "0.1 mM", "spacing": "4 um",
+            "uptake": "2 amol/s", "initial_formula": "0.1 * step(x)",
+            "release": {
+                "there": {"amount": "40 amol", "time": "90 s", "place": [3, 2, 1], "radius": 4.0},
+                "cells": {"amount": "20 amol", "time": "60 s", "type": "a"},
+            },
+        }},
+    }  # fmt: skip
     growing = {name: scene[name] for name in ("duration", "coupling_step", "initial", "growth")}
     yield "stop", {**growing, "contact": {"law": "hertz"}, "stop_cells": 31}
     loose = {"contact": {"law": "hertz"}, "initial": {"count": 6, "spacing": 0.8}}
@@ -346,6 +368,8 @@ TEXTS = {
     "motions.*.type": ["b"],
     "radiation.*.cells": ["b"],
     "radiation.*.oxygen": ["waste"],
+    "nutrients.*.initial_formula": ["0.2"],
+    "nutrients.*.release.*.type": ["b"],
     "responses.*.behaviour": ["rest", "speed", "growth rate"],
     "responses.*.cells": ["b"],
     "responses.*.signal": ["waste", "glucose", "oxygen"],

@@ -26,7 +26,7 @@ OWN = ("initial.cells.", "networks.", "output.observables.", "responses.*.parame
 test_responses."""
 
 BASES = dict(bases())
-ALWAYS = ("2D, hertz", "stop", "plane")
+ALWAYS = ("2D, hertz", "stop", "plane", "drifting")
 """Scenes of which all keys are tried each time."""
 
 

@@ -138,7 +138,15 @@ def _fast_pairs(is_fast, pairs, place, both, one):
                 beyond += 1
     ends = np.array([0, both, both + one])
     listed = forces.PairData(
-        first, second, ends[:1], ends[1:2], ends[2:], pairs.sticky, pairs.unit, pairs.onset
+        first,
+        second,
+        ends[:1],
+        ends[1:2],
+        ends[2:],
+        pairs.sticky,
+        pairs.unit,
+        pairs.onset,
+        pairs.period,
     )
     return listed, (both + one) / max(total, 1)
 

@@ -20,6 +20,10 @@ from multicell.mechanics.neighbours.pair_list import (
     are_listed,
     listed,
 )
+from multicell.mechanics.neighbours.periodic import (
+    build_periodic,
+    overlapping_pairs,
+)
 from multicell.mechanics.neighbours.updating import BUILT, REPAIRED, TOO_CROWDED
 
 __all__ = [
@@ -34,8 +38,10 @@ __all__ = [
     "TooManyPairsError",
     "are_listed",
     "build",
+    "build_periodic",
     "listed",
     "neighbour_pairs",
+    "overlapping_pairs",
     "spatial_order",
     "too_many_pairs",
 ]

@@ -9,10 +9,17 @@ from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.mechanics.neighbours.building import empty_list
-from multicell.mechanics.neighbours.margins import WIDEST
+from multicell.mechanics.neighbours.margins import WIDEST, widened
 from multicell.mechanics.neighbours.pair_list import CHUNK, IndexArray, ListArrays, PairList
+from multicell.mechanics.neighbours.periodic import rebuild_periodic
 from multicell.mechanics.neighbours.repairing import FEW
-from multicell.mechanics.neighbours.updating import BUILT, REPAIRED, kernels, update_list
+from multicell.mechanics.neighbours.updating import (
+    BUILT,
+    REPAIRED,
+    TOO_CROWDED,
+    kernels,
+    update_list,
+)
 
 Room = tuple[IndexArray, IndexArray]
 """First and second cells of a list that nobody needs any more, to be overwritten."""
@@ -38,6 +45,8 @@ class NeighbourList:
       beginning where they are few
     - ``room``: arrays for the first list, see :meth:`release`
     - ``shared``: whether threads share the search; same list
+    - ``period``, (3,), µm, optional: lengths after which space repeats; zero: not along this axis.
+      Margins are then at most what leaves one image of each cell in reach of another one.
 
     Attributes
     ----------
@@ -58,6 +67,7 @@ class NeighbourList:
         newborn: NDArray[np.bool_] | None = None,
         room: Room = NO_ROOM,
         shared: bool = False,
+        period: FloatArray | None = None,
     ) -> None:
         n = len(reach)
         self.reach, self.least, self.chunk, self.shared = reach, least, chunk, shared
@@ -66,7 +76,7 @@ class NeighbourList:
         if newborn is not None and np.count_nonzero(newborn) * FEW <= n:
             self.margin[newborn] *= WIDEST
         self.pairs: PairList | None = None
-        self._room = room
+        self._room, self._period = room, period
 
     def __len__(self) -> int:
         """Return the number of cells."""
@@ -82,6 +92,8 @@ class NeighbourList:
         if n < 2:
             self.reference[:], self.pairs = position, empty_list(n, self.chunk)
             return BUILT
+        if self._period is not None:
+            return self._rebuild(position, self._period)
         rebuild, repair = kernels(n, shared=self.shared)
         first, second, *ends = self.hand_out()
         if last is None:
@@ -106,6 +118,21 @@ class NeighbourList:
             self._room = NO_ROOM
         self.adopt(arrays)
         return int(found)
+
+    def _rebuild(self, position: FloatArray, period: FloatArray) -> int:
+        """Build the list anew where space repeats; see :meth:`update`."""
+        widened(np.array(position), self.reference, self.reach, self.least, self.margin)
+        np.minimum(self.margin, 0.25 * period[period > 0.0].min() - self.reach, out=self.margin)
+        wide = self.reach + self.margin
+        crowded, arrays = rebuild_periodic(position, wide, self.chunk, period, shared=self.shared)
+        self.reference[0, 0] = np.nan if crowded else self.reference[0, 0]
+        self.adopt(arrays)
+        return TOO_CROWDED if crowded else BUILT
+
+    def hold_no_pairs(self) -> None:
+        """Be empty however far cells drift, where they do not act on each other."""
+        self.reference[:], self.margin[:] = 0.0, np.inf
+        self.pairs = empty_list(len(self), self.chunk)
 
     def hand_out(self) -> ListArrays:
         """Return the list as :func:`.updating.update_list` takes it; without one, room for it."""

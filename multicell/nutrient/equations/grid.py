@@ -35,17 +35,17 @@ def layout_on(grid: GridBase) -> Layout:
     if not isinstance(grid, CartesianGrid) or grid.num_axes not in (2, 3):
         problem = f"is {type(grid).__name__} with {grid.num_axes} axes"
         raise SceneError("grid", f"{problem}, which cells have no place in", hint)
-    if any(grid.periodic):
-        raise SceneError("grid", "is periodic, must have sides with conditions", hint)
     if not np.allclose(steps, steps[0], rtol=1e-9):
         raise SceneError("grid", f"has spacings that differ: {steps} um", hint)
     h = float(steps[0])
     low = [float(bounds[0]) for bounds in grid.axes_bounds]
     if grid.num_axes == 2:
         nx, ny = grid.shape
-        return BoxLayout(Box((low[0], low[1], -0.5 * h), (nx, ny, 1), h, h))
+        x, y = grid.periodic
+        return BoxLayout(Box((low[0], low[1], -0.5 * h), (nx, ny, 1), h, h, (x, y, False)))
     nx, ny, nz = grid.shape
-    return BoxLayout(Box((low[0], low[1], low[2]), (nx, ny, nz), h))
+    x, y, z = grid.periodic
+    return BoxLayout(Box((low[0], low[1], low[2]), (nx, ny, nz), h, None, (x, y, z)))
 
 
 def grid_on(layout: Layout) -> GridBase:
@@ -54,7 +54,8 @@ def grid_on(layout: Layout) -> GridBase:
         return SphericalSymGrid(layout.spacing * layout.count, layout.count)
     assert isinstance(layout, BoxLayout)
     box = layout.box
-    return box_grid(box.origin, box.shape, box.spacing, flat=box.height is not None)
+    flat = box.height is not None
+    return box_grid(box.origin, box.shape, box.spacing, flat=flat, repeats=box.repeats)
 
 
 def conditions_on(layout: Layout, given: Any) -> dict[str, Any]:
@@ -71,7 +72,12 @@ def conditions_on(layout: Layout, given: Any) -> dict[str, Any]:
         return _side(given, "r+")
     assert isinstance(layout, BoxLayout)
     axes = "xyz" if layout.box.height is None else "xy"
-    return {axis + end: _side(given, axis + end) for axis in axes for end in "-+"}
+    # where space repeats there is no side, and nothing flows over it that does not come back
+    return {
+        axis + end: {"derivative": 0.0} if repeats else _side(given, axis + end)
+        for axis, repeats in zip(axes, layout.box.repeats, strict=False)
+        for end in "-+"
+    }
 
 
 def _side(given: Mapping[str, Any], face: str) -> dict[str, float]:

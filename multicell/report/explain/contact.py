@@ -9,10 +9,10 @@ from dataclasses import replace
 from multicell.contact.pair import Pair
 from multicell.report.explain.items import ExplainedPart, Number, hours, pair_label, part
 from multicell.scene.packing import collapse_notes, strongest_attraction
-from multicell.scene.pairs import daughters_stiffness, drag, type_pairs
+from multicell.scene.pairs import drag, explicit_limit, type_pairs
 from multicell.scene.parts import Motility
 from multicell.scene.scene import Scene
-from multicell.scene.sizes import birth_radius, typical_radius
+from multicell.scene.sizes import birth_radius, brownian_paths, typical_radius
 
 
 def contact_parts(scene: Scene) -> list[ExplainedPart]:
@@ -55,7 +55,11 @@ def contact_parts(scene: Scene) -> list[ExplainedPart]:
 
 def _motility_words(law: Motility) -> str:
     when = "every" if law.renewal == "regular" else "at random moments, on average every"
-    words = f"each living cell pushes itself with {law.force:g} nN, in a new direction {when} "
+    words = "" if law.diffusion is None else f"living cells diffuse with {law.diffusion:g} um^2/s"
+    if not law.pushes:
+        return words
+    words += "; " if words else ""
+    words += f"each living cell pushes itself with {law.force:g} nN, in a new direction {when} "
     words += hours(law.persistence)
     if not law.bias:
         return words
@@ -66,7 +70,6 @@ def _motility_words(law: Motility) -> str:
 def contact_numbers(scene: Scene) -> list[Number]:
     """Return the numbers of a contact of two typical cells, for every two types."""
     radius = typical_radius(scene)
-    limit = drag(scene, birth_radius(scene)) / daughters_stiffness(scene)
     fixed = birth_radius(scene) == radius
     meaning = "as at birth: no cell grows" if fixed else "half-way between birth and division"
     numbers = [
@@ -74,10 +77,12 @@ def contact_numbers(scene: Scene) -> list[Number]:
         Number("typical radius", radius, "um", meaning),
         Number("drag", drag(scene, radius), "nN s/um", "6 pi eta r of a typical cell"),
     ]
+    if not scene.contact.acts:
+        return [*numbers, *_motility(scene)]
     for label, pair in type_pairs(scene, radius):
         numbers += _pair_numbers(scene, label, pair)
     meaning = "for two fresh daughters alone; several times less in tissue"
-    numbers.append(Number("explicit step limit", limit, "s", meaning))
+    numbers.append(Number("explicit step limit", explicit_limit(scene), "s", meaning))
     return [*numbers, *_packing(scene), *_motility(scene), *_pull(scene)]
 
 
@@ -88,7 +93,7 @@ def contact_notes(scene: Scene) -> Iterator[str]:
     if scene.contact.without_adhesion and all(pair.deepest()[0] == 0.0 for _, pair in own):
         yield scene.contact.without_adhesion
     active = scene.motility
-    if active is not None:
+    if active is not None and active.pushes:
         weakest = min(pair.deepest()[0] for _, pair in own)
         if 0.0 < weakest < active.force:
             yield (
@@ -145,18 +150,26 @@ def _motility(scene: Scene) -> list[Number]:
     Steps of v τ in independent directions give a mean square displacement v² τ t, which is
     2 d D t in d dimensions. Exponential times with the mean τ give twice that.
     """
-    if scene.motility is None:
+    law = scene.motility
+    if law is None:
         return []
-    speed = scene.motility.force / drag(scene, typical_radius(scene))
-    run = speed * scene.motility.persistence
+    own = []
+    if (paths := brownian_paths(scene)) is not None:
+        meaning = "for which a force of diffusion is constant"
+        own = [Number("internal step of diffusion", paths.step, "s", meaning)]
+    if not law.pushes:
+        return own
+    speed = law.force / drag(scene, typical_radius(scene))
+    run = speed * law.persistence
     spread = speed * run / (2.0 * scene.dimensions)
     numbers = [
+        *own,
         Number("speed of motility", speed, "um/s", "of a cell without neighbours"),
         Number("run length of motility", run, "um", "of such a cell in one direction"),
     ]
-    if scene.motility.bias:
+    if law.bias:
         return numbers
-    if scene.motility.renewal == "random":
+    if law.renewal == "random":
         spread *= 2.0
     meaning = "of such a cell over many runs"
     return [*numbers, Number("diffusion by motility", spread, "um^2/s", meaning)]

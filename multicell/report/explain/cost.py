@@ -22,11 +22,11 @@ from multicell.report.explain.items import Number, hours
 from multicell.scene import domain as box
 from multicell.scene.field_solvers import expected_step
 from multicell.scene.nutrient import OWN_SOLVERS
-from multicell.scene.pairs import daughters_stiffness, drag
+from multicell.scene.pairs import explicit_limit
 from multicell.scene.reactions import group_of
 from multicell.scene.scales import MAX_NODES, regime
 from multicell.scene.scene import Scene
-from multicell.scene.sizes import birth_radius, typical_radius
+from multicell.scene.sizes import typical_radius
 
 _PROCESS: Final = 190e6  # bytes that Python, its packages and compiled code take
 _COMPILING: Final = 140e6  # and what numba and LLVM take at most in a run that compiles
@@ -118,7 +118,7 @@ def evaluations(scene: Scene) -> float:
     fixed = {m.info.name: m for m in (Euler, Heun, RungeKutta4)}
     if options.method in fixed:
         return len(fixed[options.method].tableau.b) * step / options.step
-    limit = drag(scene, birth_radius(scene)) / daughters_stiffness(scene)
+    limit = explicit_limit(scene)
     ratio, tight = step / limit, math.sqrt(max(MethodInfo.atol / options.tolerance, 0.1))
     return max(8.0, min(2.0 * tight * ratio, 40.0 * tight + ratio, 1000.0 * tight))
 

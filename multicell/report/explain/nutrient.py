@@ -91,7 +91,7 @@ def _regime_reason(scene: Scene, name: str) -> str:
         return "as the scene says"
     if group_of(name, scene.reactions):
         return "it takes part in reactions"
-    if not scales.level_fixed(nutrient, scene.dimensions):
+    if not scales.level_fixed(nutrient, scene.dimensions, scales.repeating(scene)):
         return "nothing fixes its level"
     settles = hours(scales.scales(scene, name).time)
     within = scales.regime(scene, name) == "steady"

@@ -19,7 +19,7 @@ from multicell.report.explain.networks import network_words
 from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
 from multicell.report.explain.stiffness import place_of, stiffness_numbers
 from multicell.scene.domain import sides
-from multicell.scene.pairs import daughters_stiffness, drag
+from multicell.scene.pairs import drag, explicit_limit
 from multicell.scene.parts import CYCLE_PHASES
 from multicell.scene.responses import Effect, effects
 from multicell.scene.scene import Scene
@@ -207,6 +207,12 @@ def _taxis(scene: Scene) -> list[ExplainedPart]:
         speed = 3600.0 * abs(law.force) / resistance
         way = "up" if law.force >= 0.0 else "down"
         what = f"a free cell drifts {way} a steep gradient at {speed:.3g} um/h"
+        factors = [
+            f"{kind} {kinds.chemotaxis_of[name]:g}"
+            for kind, kinds in scene.types.items()
+            if kinds.chemotaxis_of and name in kinds.chemotaxis_of
+        ]
+        what += f"; times, of {', '.join(factors)}" if factors else ""
         parts.append(part(f"chemotaxis.{name}", what))
     if scene.surface is not None:
         what = f"{scene.surface.tension:g} nN/um, which presses on a ball of 300 um radius"
@@ -228,6 +234,10 @@ def _domain_words(scene: Scene) -> str:
     else:
         lengths = " x ".join(f"{length:g}" for length in sides(domain))
         words = f"a box of {lengths} um; fields that stand still on it: {names or 'none'}"
+    if domain.periodic:
+        words += f"; space repeats along {' and '.join(domain.periodic)}"
+        if set("xyz"[: scene.dimensions]) <= set(domain.periodic):
+            return f"{words}, and there are no walls"
     young = scene.cells.young if domain.young is None else domain.young
     return f"{words}; its sides are elastic walls of {young:g} kPa"
 
@@ -267,7 +277,7 @@ def _notes(scene: Scene) -> list[str]:
     notes = []
     if scene.death is not None and not scene.nutrients and not scene.radiation:
         notes.append("Without a nutrient no cell becomes necrotic: [death] has no effect.")
-    deep = 0 if scene.initial.cells is None else deep_overlaps(scene)
+    deep = 0 if scene.initial.cells is None or not scene.contact.acts else deep_overlaps(scene)
     if deep:
         notes.append(
             f"{deep:,} pair(s) of cells in the table are nearer than half the sum of their radii: "
@@ -286,7 +296,7 @@ def _notes(scene: Scene) -> list[str]:
             "The coupling step is above a twentieth of the cycle time: divisions come late. "
             "Take a smaller coupling_step."
         )
-    limit = drag(scene, birth_radius(scene)) / daughters_stiffness(scene)
+    limit = explicit_limit(scene)
     name, inner = scene.integrator.method, scene.integrator.step
     method = METHODS.get(name) or MethodInfo(name)
     limit *= method.stable / 6.0

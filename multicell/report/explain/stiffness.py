@@ -39,6 +39,8 @@ def stiffness_of(scene: Scene) -> tuple[float, float]:
 
 def stiffness_numbers(scene: Scene) -> list[Number]:
     """Return λΔt at the start and after a division."""
+    if not scene.contact.acts:
+        return []
     rest, divided = stiffness_of(scene)
     start = 0.0 if scene.initial.count == 1 else rest
     meaning = "λΔt, largest decay rate times coupling step, of touching cells at rest"
@@ -56,7 +58,7 @@ def place_of(scene: Scene, cells: float) -> str:
 
     - ``cells``: as many as the run is expected to end with
     """
-    if scene.friction is not None:  # the tiles have none
+    if scene.friction is not None or not scene.contact.acts:  # the tiles have none
         return ""
     rest, divided = stiffness_of(scene)
     state, value = ("quiet", rest) if scene.growth is None else ("typical", divided)

@@ -32,8 +32,10 @@ from multicell.results.netcdf import write_netcdf as write_file
 from multicell.results.observables import touching
 from multicell.results.tables import frame_arrays, frame_blocks
 from multicell.scene.sizes import birth_radius
+from multicell.vectors import nearest_differences
 
 if TYPE_CHECKING:
+    from multicell.cells import FloatArray
     from multicell.report.result import Result
     from multicell.results.frame import Frame
 
@@ -72,7 +74,8 @@ def write_vtk(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) 
     collection = ElementTree.SubElement(root, "Collection")
     names = ["run.pvd"]
     for number, frame in frames():
-        parts = frame_blocks(frame, tuple(run.scene.types))
+        shown = frame.within(run.scene.domain)
+        parts = frame_blocks(shown, tuple(run.scene.types))
         for part, name in enumerate(parts.keys()):
             data: Any = parts[name]
             names.append(f"{name}-{number:04d}.{_ENDINGS[type(data).__name__]}")
@@ -118,21 +121,23 @@ def write_anndata(run: Result, frames: Frames, folder: Path, tables: Sequence[st
         obsm={"spatial": np.column_stack([table[title] for title in _PLACE])},
         uns={"scene": run.scene.to_toml(), "versions": versions()},
     )
-    _connect(data, [frame for _, frame in frames()])
+    domain = run.scene.domain
+    _connect(data, [frame for _, frame in frames()], None if domain is None else domain.period)
     with whole_file(folder / name, check_readable) as target, h5py.File(target, "w") as file:
         anndata.io.write_elem(file, "/", data, dataset_kwargs={"compression": "gzip"})
     return [name]
 
 
-def _connect(data: Any, frames: Sequence[Frame]) -> None:
+def _connect(data: Any, frames: Sequence[Frame], period: FloatArray | None) -> None:
     """Add who touches whom, and how far apart they are, under squidpy's names."""
     from scipy.sparse import coo_array
 
     pairs, apart, before = [np.empty((0, 2), np.int64)], [np.empty(0)], 0
     for frame in frames:
-        rows, place = touching(frame), frame.cells.position
+        rows, place = touching(frame, period), frame.cells.position
         pairs.append(before + rows)
-        apart.append(np.linalg.norm(place[rows[:, 0]] - place[rows[:, 1]], axis=1))
+        way = nearest_differences(place[rows[:, 1]], place[rows[:, 0]], period)
+        apart.append(np.linalg.norm(way, axis=1))
         before += len(frame.cells)
     first, second = np.concatenate(pairs).T
     both = (np.concatenate([first, second]), np.concatenate([second, first]))

@@ -27,7 +27,7 @@ def write_simularium(run: Result, frames: Frames, folder: Path, tables: Sequence
     """
     from simulariumio import AgentData, MetaData, TrajectoryConverter, TrajectoryData, UnitData
 
-    chosen = [frame for _, frame in frames()]
+    chosen = [frame.within(run.scene.domain) for _, frame in frames()]
     counts = np.array([len(frame.cells) for frame in chosen])
     most = int(counts.max(initial=0))
     if most == 0:

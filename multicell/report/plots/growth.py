@@ -52,13 +52,15 @@ def motion(history: style.History, scene: Scene) -> Figure:
     figure = style.headed(scene, subtitle)
     place = {"left": 0.1, "right": 0.97, "top": 0.82, "bottom": 0.11, "hspace": 0.32}
     upper, lower = figure.subplots(2, gridspec_kw=place)
-    _draw_size(upper, time, history)
     size = history["diameter"]
-    room = float(np.ptp(size))
-    if room > 0.01 * float(size.max()):  # else noise would fill the picture
-        upper.set_ylim(float(size.min()) - 0.1 * room, float(size.max()) + 0.1 * room)
-    style.draw_line(lower, time, 1000.0 * history["largest_pressure"], style.RED)
-    lower.set(title="Largest pressure of a cell", ylabel="pressure (Pa)")
+    if not np.isfinite(size).all():
+        _draw_count(upper, time, history["cells"])
+    else:
+        _draw_size(upper, time, history)
+        room = float(np.ptp(size))
+        if room > 0.01 * float(size.max()):  # else noise would fill the picture
+            upper.set_ylim(float(size.min()) - 0.1 * room, float(size.max()) + 0.1 * room)
+    _draw_pressure(lower, time, history)
     style.time_axes((upper, lower), time, unit)
     upper.set_xlabel("")
     return figure
@@ -133,7 +135,16 @@ def _count_axis(axes: Axes, largest: float) -> None:
     axes.set_ylabel("number")
 
 
+def _draw_pressure(axes: Axes, time: FloatArray, history: style.History) -> None:
+    style.draw_line(axes, time, 1000.0 * history["largest_pressure"], style.RED)
+    axes.set(title="Largest pressure of a cell", ylabel="pressure (Pa)")
+
+
 def _draw_size(axes: Axes, time: FloatArray, history: style.History) -> None:
+    """Draw the diameter, or the largest pressure where space repeats: there is no diameter."""
+    if not np.isfinite(history["diameter"]).all():
+        _draw_pressure(axes, time, history)
+        return
     whole, core = history["diameter"], 2.0 * history["necrotic_radius"]
     style.draw_line(axes, time, whole, style.BLUE, label="whole")
     if core.max() > 0:

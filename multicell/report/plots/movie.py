@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import matplotlib as mpl
 import numpy as np
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from multicell.report.plots.colouring import Colouring
     from multicell.report.result import Result
+    from multicell.results.frame import Frame
 
 MOVIE_ENDINGS: Final = (".gif", ".webp", ".mp4")
 TURN: Final = 90.0
@@ -84,7 +85,7 @@ def movie(
         raise OutputError("no frame of the run has cells: there is nothing to show")
     hold = max(1, round(_REST * rate))
     shades = _shades(result, numbers, one_spelling(colour, color))
-    frames, scene = result.frames, result.scene
+    frames, scene = _Inside(result), result.scene
     figures: Iterator[Figure]
     if space:  # the eye turns on while the last frame stays
         numbers += hold * numbers[-1:]
@@ -112,6 +113,17 @@ def movie(
                 progress(done, len(numbers))
         write_bytes(path, film.read_bytes())
     return path
+
+
+@final
+class _Inside:
+    """The frames of a run, their cells inside a domain in which space repeats."""
+
+    def __init__(self, result: Result) -> None:
+        self._result = result
+
+    def __getitem__(self, number: int) -> Frame:
+        return self._result.frames[number].within(self._result.scene.domain)
 
 
 def _shades(result: Result, numbers: list[int], colour: str | None) -> Callable[[int], Colouring]:

@@ -85,11 +85,15 @@ class Plots:
     def _shaded(self, frame: int, colour: str | None) -> tuple[Frame, Scene, Colouring]:
         from multicell.report.plots.colouring import colouring
 
-        chosen = self.frames[frame]
+        chosen = self.frames[frame].within(self.scene.domain)
         return chosen, self.scene, colouring(chosen, self.scene, colour, self.lineage)
 
     def _has(self, column: str) -> bool:
         return len(self.history.get(column, ())) > 0
+
+    @property
+    def _repeats(self) -> bool:
+        return self.scene.domain is not None and bool(self.scene.domain.periodic)
 
     def _crowd(self, least: int) -> bool:
         return len(self.frames) > 0 and len(self.frames[-1].cells) >= least
@@ -201,14 +205,16 @@ class Plots:
         """Show a map of every field in the plane z = centre, at frame number ``frame``."""
         from multicell.report.plots.section import field_maps
 
-        return field_maps(self.frames[frame], self.scene)
+        return field_maps(self.frames[frame].within(self.scene.domain), self.scene)
 
     @_picture(
         "Averages over shells, in a plane over rings, about the centre.",
-        on_page=lambda run: run._crowd(_MIN_CROWD),
+        on_page=lambda run: run._crowd(_MIN_CROWD) and not run._repeats,
     )
     def profiles(self, frame: int = -1) -> Figure:
         """Draw concentration (or pressure) and states against the distance from the centre."""
+        if self._repeats:
+            raise ValueError("space repeats (domain.periodic): there is no centre")
         from multicell.report.plots.profiles import profiles
 
         return profiles(self.frames[frame], self.scene)

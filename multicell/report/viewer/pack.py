@@ -112,7 +112,7 @@ def pack_frames(
     """
     frames, whole = [], []
     for number in _frame_numbers(result):
-        frame = result.frames[number]
+        frame = result.frames[number].within(result.scene.domain)
         if len(frame.cells):
             whole.append({"cells": len(frame.cells), "groups": _groups(frame)})
             frames.append(_thin(frame, max_cells))  # one whole frame in memory at a time
