@@ -3,14 +3,18 @@
 ``pytest tests/cli/test_full_disks.py --full-disks 60`` tries as many disks.
 """
 
+import json
 import random
 import re
 import shutil
 import sys
 
 import pytest
-from full_disk import SHORT, WRITING
+from full_disk import IN_PLACE, SHORT, WRITING
+from network_models import WITH_NETWORK, WRITTEN
+from physicell_project import writer
 
+import multicell as mc
 from multicell.errors import ExitCode
 
 BIG = 64 * 1024  # kB: more than any of them writes
@@ -29,6 +33,11 @@ def done(forks, tmp_path_factory):
         ended = forks.multicell(*words)
         assert ended["code"] == 0, ended["text"]
     (place / "data.csv").write_text("time / h,diameter / um\n0.5,15\n1,15\n1.5,16\n2,16\n")
+    ended = forks.multicell(*WRITING["fit"](place, place / "fit"))
+    assert ended["code"] == 0, ended["text"]
+    (place / "own.ant").write_text(WRITTEN)
+    (place / "network.toml").write_text(WITH_NETWORK)
+    writer(place)()
     return place
 
 
@@ -51,9 +60,10 @@ def test_a_full_disk_ends_a_command_in_a_line_and_it_continues(
     for case in [None, *cases]:
         try:
             disk = mount(BIG)
-            at = disk if name == "study report" else done
-            if at is disk:
-                shutil.copytree(done / "study", disk / "study")
+            at = done
+            if name in IN_PLACE:
+                at = disk
+                shutil.copytree(done / IN_PLACE[name], disk / IN_PLACE[name])
             held = written(disk) / 1024.0
             if case is not None:
                 disk = mount(int(1.1 * held + random.Random(case).uniform(0.02, 1.0) * size) + 8)
@@ -77,3 +87,27 @@ def test_a_full_disk_ends_a_command_in_a_line_and_it_continues(
                     assert re.search("ends with the frame|not empty", again["text"])
         finally:
             unmount()
+
+
+@pytest.mark.harness
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="small disks are mounted on Linux")
+def test_a_full_disk_under_a_page_with_sliders_is_said_on_it(done, forks, small_disk, pytestconfig):
+    mount, unmount = small_disk
+    scene = mc.load_scene("growth").with_changes({"duration": "2 h", "output.every": "10 min"})
+    (done / "played.toml").write_text(scene.to_toml())
+    task = {"way": "play", "source": str(done / "played.toml")}
+    stopped = 0
+    for case in range(pytestconfig.getoption("full_disks")):
+        try:
+            disk = mount(random.Random(case).choice([4, 8, 12, 30, 80, 150, BIG]))
+            ended = forks.ask(
+                function="full_disk:attempt", limit=300.0, **{"with": {**task, "folder": str(disk)}}
+            )
+            assert ended["code"] == 0, (case, ended)
+            said = list(filter(None, json.loads(ended["text"].splitlines()[-1])["said"]))
+            assert all("No space left on device" in words for words in said), (case, ended)
+            stopped += bool(said)
+        finally:
+            unmount()
+    assert stopped
