@@ -78,8 +78,8 @@ def sensitivity_command(
     plan = plan_sensitivity(
         scene, pairs, method=method, observables=observables or None, size=size, seeds=seeds
     )
-    result = studies.carry_out_study(plan, output, run_sensitivity_plan, how)
-    studies.print_analysis(result, bool(result.failures), how)
+    result, failed = studies.carry_out_study(plan, output, run_sensitivity_plan, how)
+    studies.print_analysis(result, bool(result.failures), failed, how)
 
 
 @click.command(name="dose-response")
@@ -146,7 +146,7 @@ def dose_response_command(
     )
 
     if described is None:
-        result = replace(of_table(data, columns, where), folder=output)
+        result, failed = replace(of_table(data, columns, where), folder=output), []
         result.write_tables()
     else:
         keys, doses = list(pairs), tuple(pairs.values())
@@ -158,5 +158,5 @@ def dose_response_command(
             observable="+".join(observables) or LIVING,
             seeds=seeds,
         )
-        result = studies.carry_out_study(plan, output, run_dose_plan, how)
-    studies.print_analysis(result, any(row["reason"] for row in result.table), how)
+        result, failed = studies.carry_out_study(plan, output, run_dose_plan, how)
+    studies.print_analysis(result, any(row["reason"] for row in result.table), failed, how)

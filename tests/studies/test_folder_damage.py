@@ -1,7 +1,7 @@
 """Folders of studies, fits and analyses that are damaged: read right, or refused in words.
 
-``pytest tests/studies/test_folder_damage.py --damages 500`` damages as many of each kind. Each case
-runs in a process of its own, with a bound on its time and memory.
+``pytest tests/studies/test_folder_damage.py --damages 500`` damages as many of each kind, from
+the case ``--first-seed`` on. Each case runs in a process of its own, with a bound on its time and memory.
 """
 
 import errno
@@ -93,7 +93,8 @@ def _full(*_, **__):
 def test_damaged_folders_are_read_right_or_refused(kind, folders, forks, tmp_path, pytestconfig):
     place, found = folders
     wrong, refused = [], 0
-    for case in range(pytestconfig.getoption("damages")):
+    first = pytestconfig.getoption("first_seed")
+    for case in range(first, first + pytestconfig.getoption("damages")):
         (tmp_path / "case").mkdir()
         for path in place.iterdir():
             if path.is_file():
