@@ -41,7 +41,8 @@ WRITING = {
     "profile": lambda at, out: ["profile", at / "fit", "-o", out.with_suffix(".svg")],
     "dose response": lambda at, out: ["dose-response", "growth", *DOSES, "-o", out, "--cores", "1"],
     "import": lambda at, out: ["import", "physicell", at / "config" / "settings.xml", "-o", out],
-    "coarsen": lambda at, out: ["coarsen", "growth", "--set", "initial.count=100", "-o", out.with_suffix(".toml")],
+    "coarsen": lambda at, out: ["coarsen", "growth", "--set", "initial.count=100",
+                                "-o", out.with_suffix(".toml")],
     **{f"export {kind}": partial(lambda kind, at, out: ["export", at / "run", "-o", out,
                                                         "--format", kind], kind)
        for kind in ("parquet", "vtk", "anndata", "openvt", "simularium", "ro-crate")},

@@ -1,7 +1,8 @@
 """Folders of studies, fits and analyses that are damaged: read right, or refused in words.
 
 ``pytest tests/studies/test_folder_damage.py --damages 500`` damages as many of each kind, from
-the case ``--first-seed`` on. Each case runs in a process of its own, with a bound on its time and memory.
+the case ``--first-seed`` on. Each case runs in a process of its own, with a bound on its time and
+memory.
 """
 
 import errno
