@@ -5,12 +5,9 @@ many as asked.
 """
 
 import random
-from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
-from network_models import WITH_NETWORK, WRITTEN
 from stored import assert_same_bits
 
 import multicell as mc
@@ -29,26 +26,7 @@ CHANGES = {
     "death.lysis_time": "2 h",
     "output.every": "30 min",
 }
-INSIDE = {"duration": "7 h", "initial.count": 40, "output.every": "20 min",
-          "death.apoptosis_rate": "0.2 1/h", "death.apoptosis_time": "30 min"}  # fmt: skip
-"""Of cells with a network in each."""
-
-
-class Whole(NamedTuple):
-    """A run that nothing disturbed.
-
-    - ``scene``: the arguments that it was made with
-    - ``seconds``: how long it took
-    """
-
-    folder: Path
-    scene: list[str]
-    seconds: float
-
-    def command(self, verb, folder, *more):
-        given = self.scene if verb == "run" else []
-        out = ["-o"] if verb == "run" else []
-        return [verb, *given[:1], *out, folder, *given[1:], "--quiet", "--threads", "1", *more]
+SETTINGS = [part for key, value in CHANGES.items() for part in ("--set", f"{key}={value}")]
 
 
 def summary(folder):
@@ -60,25 +38,22 @@ def summary(folder):
     }
 
 
-@pytest.fixture(scope="module", params=["spheroid", "network"])
-def undisturbed(request, forks, tmp_path_factory):
-    place = tmp_path_factory.mktemp("undisturbed")
-    scene, changes = "spheroid", CHANGES
-    if request.param == "network":
-        pytest.importorskip("sbmlode")
-        pytest.importorskip("antimony")
-        scene, changes = str(place / "network.toml"), INSIDE
-        (place / "network.toml").write_text(WITH_NETWORK)
-        (place / "own.ant").write_text(WRITTEN)
-    sets = [part for key, value in changes.items() for part in ("--set", f"{key}={value}")]
-    whole = Whole(place / "out", [scene, *sets], 0.0)
-    done = forks.multicell(*whole.command("run", whole.folder))
+def command(verb, folder, *more):
+    if verb == "run":
+        return ["run", "spheroid", "-o", folder, *SETTINGS, "--quiet", "--threads", "1", *more]
+    return ["resume", folder, "--quiet", "--threads", "1", *more]
+
+
+@pytest.fixture(scope="module")
+def undisturbed(forks, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("undisturbed") / "out"
+    done = forks.multicell(*command("run", folder))
     assert done["code"] == 0, done["text"]
-    run = mc.load_result(whole.folder)
+    run = mc.load_result(folder)
     assert run.summary()["divisions"] > 5
     assert run.summary()["removals"] > 0
-    assert len(run.frames) == (22 if request.param == "network" else 21)
-    return whole._replace(seconds=done["seconds"])
+    assert len(run.frames) == 21
+    return folder, done["seconds"]
 
 
 def assert_a_beginning(folder, whole):
@@ -103,12 +78,11 @@ def assert_a_beginning(folder, whole):
     return count
 
 
-def finish(forks, folder, undisturbed):
+def finish(forks, folder, whole):
     """Go on in a folder until its run is complete, and compare it with the undisturbed one."""
-    whole = undisturbed.folder
     count = assert_a_beginning(folder, whole)
     verb = ["resume", folder] if count else ["run", folder, "--overwrite"]
-    done = forks.multicell(*undisturbed.command(*verb))
+    done = forks.multicell(*command(*verb))
     if done["code"] == 2:
         assert "ends with the frame" in done["text"], done["text"]  # only its report was missing
     else:
@@ -125,20 +99,20 @@ def finish(forks, folder, undisturbed):
 @pytest.mark.harness
 @pytest.mark.slow
 def test_killed_runs_go_on_to_the_same_bits(forks, undisturbed, tmp_path, pytestconfig):
-    whole, seconds = undisturbed.folder, undisturbed.seconds
+    whole, seconds = undisturbed
     for case in range(pytestconfig.getoption("kills")):
         rng = random.Random(case)
         folder = tmp_path / f"run{case}"
         how = _moment(rng, folder, seconds)
-        killed = forks.multicell(*undisturbed.command("run", folder), **how)
+        killed = forks.multicell(*command("run", folder), **how)
         assert killed["code"] in (0, -9), (case, killed)
         for again in range(rng.choice([0, 0, 1, 2])):
             if assert_a_beginning(folder, whole) and killed["code"] == -9:
                 how = _moment(rng, folder, seconds)
-                killed = forks.multicell(*undisturbed.command("resume", folder), **how)
+                killed = forks.multicell(*command("resume", folder), **how)
                 assert killed["code"] in (0, 2, -9), (case, again, killed)
         try:
-            finish(forks, folder, undisturbed)
+            finish(forks, folder, whole)
         except BaseException as error:
             error.add_note(f"kill {case}")
             raise
@@ -162,7 +136,7 @@ def _moment(rng, folder, seconds):
 def test_a_full_disk_ends_a_run_with_one_error_and_loses_nothing(
     forks, undisturbed, small_disk, pytestconfig
 ):
-    whole = undisturbed.folder
+    whole, _ = undisturbed
     mount, unmount = small_disk
     size = sum(entry.stat().st_size for entry in whole.iterdir()) / 1024.0
     stopped = 0
@@ -170,15 +144,15 @@ def test_a_full_disk_ends_a_run_with_one_error_and_loses_nothing(
         rng = random.Random(1000 + case)
         try:
             folder = mount(_size(rng, case, size)) / "out"
-            done = forks.multicell(*undisturbed.command("run", folder))
+            done = forks.multicell(*command("run", folder))
             stopped += _stopped_with_words(done, folder, whole)
             if rng.random() < 0.5 and done["code"] == 3 and Contents(folder).places:
                 mount(int(rng.uniform(0.5, 2.0) * size) + 200)
-                done = forks.multicell(*undisturbed.command("resume", folder))
+                done = forks.multicell(*command("resume", folder))
                 _stopped_with_words(done, folder, whole)
             mount(int(20 * size))
             if done["code"] != 0:
-                finish(forks, folder, undisturbed)
+                finish(forks, folder, whole)
         except BaseException as error:
             error.add_note(f"full disk {case}")
             raise
