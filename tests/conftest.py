@@ -16,8 +16,8 @@ from hypothesis import settings
 # Two workers begin at the first test, with kernels of mechanics, and at the one in the middle, with
 # those of fields, so that they seldom compile the same. No long test comes last.
 ROOMS = ("contact", "mechanics", "integrators", "biology", "comparison", "calibration",
-         "studies", "docs", "examples", "nutrient", "tests", "results", "cli", "report",
-         "scene")  # fmt: skip
+         "studies", "docs", "examples", "validation", "nutrient", "tests", "results", "cli",
+         "report", "scene")  # fmt: skip
 
 # the first example of a test may have to compile a kernel; the same examples every time,
 # so that a failure can be seen again
