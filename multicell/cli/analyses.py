@@ -14,6 +14,7 @@ from multicell.cli import study as studies
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
+    from multicell.studies.engine import RunOutcome
 
 
 def _observables(what: str, several: str) -> shared.Option:
@@ -145,8 +146,9 @@ def dose_response_command(
         run_dose_plan,
     )
 
+    failed: list[RunOutcome] = []
     if described is None:
-        result, failed = replace(of_table(data, columns, where), folder=output), []
+        result = replace(of_table(data, columns, where), folder=output)
         result.write_tables()
     else:
         keys, doses = list(pairs), tuple(pairs.values())

@@ -16,7 +16,7 @@ SHORT = ["--set", "duration=2 h", "--set", "output.every=1 h"]
 FREE = ["--free", "growth.cycle_time=8:25 h"]
 DOSES = ["--set", "death.apoptosis_rate=0", "--set", "duration=20 h", "--seeds", "1", "--yes",
          "--dose", "death.apoptosis_rate=0,0.005,0.02,0.05,0.2,0.6 1/h"]  # fmt: skip
-IN_PLACE = {"study report": "study", "view": "run"}
+IN_PLACE = {"study report": "study", "study run": "planned", "view": "run"}
 """Commands that write into a folder that is there, and its name."""
 WRITING = {
     "run": lambda at, out: ["run", "growth", "-o", out, *SHORT],
@@ -25,6 +25,7 @@ WRITING = {
     "export netcdf": lambda at, out: ["export", at / "run", "-o", out, "--format", "netcdf"],
     "plot": lambda at, out: ["plot", at / "run", "-o", out.with_suffix(".png")],
     "study new": lambda at, out: ["study", "new", "growth", "-o", out],
+    "study run": lambda at, out: ["study", "run", at / "planned", "--cores", "1"],
     "study report": lambda at, out: ["study", "report", at / "study"],
     "compare": lambda at, out: ["compare", "settle", "-o", out, "--methods", "euler"],
     "stability": lambda at, out: ["stability", "settle", "-o", out, "--methods", "euler"],
