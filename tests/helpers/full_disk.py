@@ -9,6 +9,9 @@ import time
 from functools import partial
 from pathlib import Path
 
+from network_models import WITH_NETWORK, WRITTEN
+from physicell_project import writer
+
 import multicell as mc
 from multicell.studies.axes import parse_ranges
 
@@ -50,6 +53,27 @@ WRITING = {
     "init": lambda at, out: ["init", "growth", "-o", out.with_suffix(".toml")],
 }  # fmt: skip
 """Commands that write, by name: of a folder with a run, a study and data, and where to write."""
+
+
+def prepare(place, multicell):
+    """Make the run, studies, fit, data and scenes that the commands need.
+
+    - ``multicell``: carries out a command line, and returns its exit code and what it said
+    """
+    study = ["study", "new", "growth", *SHORT, "--vary=cells.young=1,2 kPa", "-o"]
+    (place / "data.csv").write_text("time / h,diameter / um\n0.5,15\n1,15\n1.5,16\n2,16\n")
+    for words in (
+        ["run", "growth", "-o", place / "run", *SHORT, "--no-report"],
+        [*study, place / "study"],
+        ["study", "run", place / "study", "--cores", 1, "--no-report"],
+        [*study, place / "planned"],
+        WRITING["fit"](place, place / "fit"),
+    ):
+        code, said = multicell(*words)
+        assert code == 0, said
+    (place / "own.ant").write_text(WRITTEN)
+    (place / "network.toml").write_text(WITH_NETWORK)
+    writer(place)()
 
 
 def export(source, folder, format):
