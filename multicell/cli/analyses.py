@@ -14,6 +14,7 @@ from multicell.cli import study as studies
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
+    from multicell.studies.engine import RunOutcome
 
 
 def _observables(what: str, several: str) -> shared.Option:
@@ -78,8 +79,8 @@ def sensitivity_command(
     plan = plan_sensitivity(
         scene, pairs, method=method, observables=observables or None, size=size, seeds=seeds
     )
-    result = studies.carry_out_study(plan, output, run_sensitivity_plan, how)
-    studies.print_analysis(result, bool(result.failures), how)
+    result, failed = studies.carry_out_study(plan, output, run_sensitivity_plan, how)
+    studies.print_analysis(result, bool(result.failures), failed, how)
 
 
 @click.command(name="dose-response")
@@ -145,6 +146,7 @@ def dose_response_command(
         run_dose_plan,
     )
 
+    failed: list[RunOutcome] = []
     if described is None:
         result = replace(of_table(data, columns, where), folder=output)
         result.write_tables()
@@ -158,5 +160,5 @@ def dose_response_command(
             observable="+".join(observables) or LIVING,
             seeds=seeds,
         )
-        result = studies.carry_out_study(plan, output, run_dose_plan, how)
-    studies.print_analysis(result, any(row["reason"] for row in result.table), how)
+        result, failed = studies.carry_out_study(plan, output, run_dose_plan, how)
+    studies.print_analysis(result, any(row["reason"] for row in result.table), failed, how)

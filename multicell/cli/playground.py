@@ -34,6 +34,7 @@ from multicell.errors import MulticellError, OutputError
 from multicell.report.html import rendered, script
 from multicell.report.result import Result, load_result
 from multicell.report.wording import cell_count, time_unit, written
+from multicell.results.folder import file_errors
 from multicell.scene.coarsening import coarsen
 from multicell.schema import leaves
 
@@ -44,6 +45,8 @@ if TYPE_CHECKING:
 HOST: Final = "127.0.0.1"
 KEPT: Final = 5
 """Runs that are kept, to compare their curves."""
+_ROOM: Final = b"\n" * 4096
+"""Lines for what a run says at its end: on a disk that it has filled there is no room for more."""
 
 
 @final
@@ -68,7 +71,8 @@ class Playground:
         self._units = units or {}
         self.scene, self.ranges, self.factor, self.note = scene, ranges, factor, note
         self._laws = [word for law in laws for word in ("--law", law)]
-        self._folder = Path(tempfile.mkdtemp(prefix="multicell-play-"))
+        with file_errors("make a folder in", Path(tempfile.gettempdir())):
+            self._folder = Path(tempfile.mkdtemp(prefix="multicell-play-"))
         self._worker: subprocess.Popen[bytes] | None = None
         self._labels: dict[int, str] = {}
         self._duration = scene.duration
@@ -144,18 +148,20 @@ class Playground:
         if self.factor != 1.0:
             scene = coarsen(scene, self.factor)
         self.stop()
-        self.number += 1
-        self._duration = scene.duration
-        self._labels[self.number] = f"{self.number}: " + ", ".join(
+        number = self.number + 1
+        file, log = self._folder / "scene.toml", self._folder / "log"
+        with file_errors("use the folder of the runs", self._folder):
+            for old in [one for one in self._labels if one <= number - KEPT]:
+                del self._labels[old]
+                shutil.rmtree(self._folder / str(old), ignore_errors=True)
+            file.write_text(scene.to_toml(), "utf-8")
+            log.write_bytes(_ROOM)
+        self.number, self._duration = number, scene.duration
+        self._labels[number] = f"{number}: " + ", ".join(
             self._label(item, value) for item, value in zip(self.ranges, values, strict=True)
         )
-        for old in [number for number in self._labels if number <= self.number - KEPT]:
-            del self._labels[old]
-            shutil.rmtree(self._folder / str(old), ignore_errors=True)
-        file, log = self._folder / "scene.toml", self._folder / "log"
-        file.write_text(scene.to_toml(), "utf-8")
-        place = str(self._folder / str(self.number))
-        with log.open("wb") as said:
+        place = str(self._folder / str(number))
+        with log.open("r+b") as said:
             self._worker = subprocess.Popen(
                 [
                     sys.executable,

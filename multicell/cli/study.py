@@ -7,7 +7,6 @@ import textwrap
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -243,8 +242,8 @@ def _terminal() -> bool:
 
 def carry_out_study(
     plan: Any, output: Path, carry_out: Callable[..., Any], how: Mapping[str, Any]
-) -> Any:
-    """Do the missing runs of an analysis, and return the result.
+) -> tuple[Any, list[RunOutcome]]:
+    """Do the missing runs of an analysis; return its result, and the runs that failed.
 
     - ``plan``: with the study to run
     - ``carry_out``: called with it, the folder, what says where runs go, and ``progress``
@@ -253,7 +252,16 @@ def carry_out_study(
     from multicell.studies.study import write_study
 
     study = write_study(plan.study, output, overwrite=how["overwrite"])
-    return _carry_out(study, partial(carry_out, plan, output), how)
+    failed = []
+
+    def noted(progress: Callable[[RunOutcome], None], **workers: Any) -> Any:
+        def note(outcome: RunOutcome) -> None:
+            failed.extend([outcome] if outcome.state == "failed" else [])
+            progress(outcome)
+
+        return carry_out(plan, output, progress=note, **workers)
+
+    return _carry_out(study, noted, how), failed
 
 
 def _carry_out(study: Study, carry_out: Callable[..., Any], how: Mapping[str, Any]) -> Any:
@@ -271,16 +279,27 @@ def _carry_out(study: Study, carry_out: Callable[..., Any], how: Mapping[str, An
         raise
 
 
-def print_analysis(result: Any, failed: bool, how: Mapping[str, Any]) -> None:
-    """Report an analysis, and end as failed if one of its runs has."""
+def print_analysis(
+    result: Any, lacking: bool, failed: Sequence[RunOutcome], how: Mapping[str, Any]
+) -> None:
+    """Report an analysis, and end as failed if it lacks one of its runs."""
     page = None if how["no_report"] else result.report()
     if how["as_json"]:
         print_json(result.to_dict())
     elif not how["quiet"]:
         say(result.text())
         _print_page(page)
-    if failed:
-        raise click.exceptions.Exit(ExitCode.FAILED)
+    if lacking:
+        code = _code_of(failed)
+        if code == ExitCode.MACHINE:
+            complain(f"Error: {_count(len(failed), 'run')} failed, the first: {failed[0].reason}")
+        raise click.exceptions.Exit(code)
+
+
+def _code_of(failed: Sequence[RunOutcome]) -> ExitCode:
+    """Return how a command ends some of whose runs failed."""
+    machine = {run.kind for run in failed} <= {"machine", "unreadable"}
+    return ExitCode.MACHINE if failed and machine else ExitCode.FAILED
 
 
 def say(text: str) -> None:
@@ -332,10 +351,9 @@ def _print_outcomes(
         complain(f"{_count(len(failed), 'run')} failed, the first of them: {reason}")
     if trouble is not None:
         complain(f"Error: {trouble}")
-    kinds = {outcomes[k].kind for k in failed}
     codes = [] if trouble is None else [exit_code_of(trouble)]
-    if kinds:
-        codes += [ExitCode.MACHINE if kinds <= {"machine", "unreadable"} else ExitCode.FAILED]
+    if failed:
+        codes.append(_code_of([outcomes[k] for k in failed]))
     if codes:
         raise click.exceptions.Exit(min(codes))
 

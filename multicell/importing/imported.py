@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, final
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
-from multicell.results.folder import file_errors, write_text
+from multicell.results.folder import file_errors, is_begun, write_text
 from multicell.scene.scene import Scene, with_units
 from multicell.units import BASE_UNITS
 
@@ -154,13 +154,17 @@ class Imported:
         with file_errors("use", place):
             place.mkdir(parents=True, exist_ok=True)
             there = [path for path in paths if path.exists() or path.is_symlink()]
-        if there and not overwrite:
-            raise OutputError(f"'{there[0]}' exists already: name another folder or overwrite it")
         assert self.scene.initial.cells is not None
         cells = self.scene.initial.cells.given.content().decode()
         with file_errors("read", place):
             models = [file.read_text(encoding="utf-8-sig") for file in networks.values()]
-        for path, text in zip(paths, (self._toml(), cells, self.account(), *models), strict=True):
+        texts = dict(zip(paths, (self._toml(), cells, self.account(), *models), strict=True))
+        # what a process that was ended, or found its disk full, has left is no reason to refuse
+        content = {path.name: text for path, text in texts.items()}
+        begun = len(there) < len(paths) and is_begun(place, content)
+        if there and not overwrite and not begun:
+            raise OutputError(f"'{there[0]}' exists already: name another folder or overwrite it")
+        for path, text in texts.items():
             write_text(path, text)
         return paths
 

@@ -14,7 +14,8 @@ from multicell.calibration.dose_response import analysis as room
 from multicell.calibration.dose_response.analysis import plan_dose_response
 from multicell.calibration.dose_response.curve import dose_at, draw_means, fit_curve, hill
 from multicell.cli.main import main
-from multicell.errors import DataError, FitFailed, SceneError
+from multicell.errors import DataError, ExitCode, FitFailed, SceneError
+from multicell.studies.engine import RunOutcome
 
 DOSES = np.concatenate([[0.0], np.geomspace(0.03, 30.0, 8)])
 KNOWN = np.array([0.1, 0.0, 1.5])  # bottom, log EC50, h
@@ -316,6 +317,40 @@ def test_a_run_that_fails_is_told_and_left_out(tmp_path, monkeypatch):
     (tmp_path / "again.csv").write_text(found.to_csv())
     again = mc.dose_response(data=tmp_path / "again.csv")
     assert again.curve.viability == pytest.approx(found.curve.viability)
+
+
+@pytest.mark.parametrize(
+    ("kind", "code"), [("machine", ExitCode.MACHINE), ("run", ExitCode.FAILED)]
+)
+@pytest.mark.parametrize("lost", [1, 8])
+def test_runs_that_the_machine_has_stopped_are_its_failure(lost, kind, code, tmp_path, monkeypatch):
+    """Also where too few are left for a curve, of which the runs themselves say nothing."""
+    from multicell.studies.study import Study
+
+    plan = plan_dose_response(COLONY, DRUG, RISING, seeds=2)
+    values = (100.0 * hill(1e3 * plan.points[:, 0], KNOWN)[:, None] + [-1.0, 1.0]).ravel()
+    values[-lost:] = math.nan
+    reason = "cannot write: No space left on device" if kind == "machine" else "step failed"
+    outcomes = [RunOutcome(name, "failed", reason, kind=kind) for name in plan.study.names[-lost:]]
+
+    def run(*_, progress, **__):
+        for outcome in outcomes:
+            progress(outcome)
+        return outcomes
+
+    final = {"proliferating": values, "quiescent": 0.0 * values}
+    monkeypatch.setattr(Study, "run", run)
+    known = {outcome.name: reason for outcome in outcomes}
+    monkeypatch.setattr(room, "read_final", lambda *_: (final, known))
+    (tmp_path / "colony.toml").write_text(COLONY.to_toml())
+    done = CliRunner().invoke(main, ["dose-response", str(tmp_path / "colony.toml"), "--dose",
+                                     f"{DRUG}={RISING}", "--seeds", "2", "--cores", "1",
+                                     "-o", str(tmp_path / "out"), "--no-report"])  # fmt: skip
+    assert done.exit_code == code, done.output
+    said = [line for line in done.output.splitlines() if line.startswith("Error: ")]
+    assert len(said) == (kind == "machine" or lost == 8)
+    if kind == "machine":
+        assert said[0].endswith(reason)
 
 
 def test_the_command_of_measured_data(tmp_path):

@@ -3,16 +3,19 @@
 ``pytest tests/cli/test_full_disks.py --full-disks 60`` tries as many disks.
 """
 
+import json
 import random
 import re
 import shutil
 import sys
 
 import pytest
-from full_disk import SHORT, WRITING
+from full_disk import IN_PLACE, WRITING, prepare
 
+import multicell as mc
 from multicell.errors import ExitCode
 
+FULL = "No space left on device"
 BIG = 64 * 1024  # kB: more than any of them writes
 
 
@@ -20,15 +23,12 @@ BIG = 64 * 1024  # kB: more than any of them writes
 def done(forks, tmp_path_factory):
     """Return a run, a study and data for a fit, and let the processes load what commands need."""
     place = tmp_path_factory.mktemp("done")
-    vary = ["--vary=cells.young=1,2 kPa"]
-    for words in (
-        ["run", "growth", "-o", place / "run", *SHORT, "--no-report"],
-        ["study", "new", "growth", "-o", place / "study", *SHORT, *vary],
-        ["study", "run", place / "study", "--cores", 1, "--no-report"],
-    ):
+
+    def multicell(*words):
         ended = forks.multicell(*words)
-        assert ended["code"] == 0, ended["text"]
-    (place / "data.csv").write_text("time / h,diameter / um\n0.5,15\n1,15\n1.5,16\n2,16\n")
+        return ended["code"], ended["text"]
+
+    prepare(place, multicell)
     return place
 
 
@@ -51,9 +51,10 @@ def test_a_full_disk_ends_a_command_in_a_line_and_it_continues(
     for case in [None, *cases]:
         try:
             disk = mount(BIG)
-            at = disk if name == "study report" else done
-            if at is disk:
-                shutil.copytree(done / "study", disk / "study")
+            at = done
+            if name in IN_PLACE:
+                at = disk
+                shutil.copytree(done / IN_PLACE[name], disk / IN_PLACE[name])
             held = written(disk) / 1024.0
             if case is not None:
                 disk = mount(int(1.1 * held + random.Random(case).uniform(0.02, 1.0) * size) + 8)
@@ -68,8 +69,11 @@ def test_a_full_disk_ends_a_command_in_a_line_and_it_continues(
             assert "Traceback" not in ended["text"]
             assert "HDF5" not in ended["text"]
             if ended["code"]:
-                assert len(said) == 1, ended["text"]
-                assert "No space left on device" in said[0]
+                full = [line for line in ended["text"].splitlines() if FULL in line]
+                assert full, ended["text"]
+                if name != "study run":  # which names each run that failed
+                    assert said == full
+                    assert len(said) == 1
                 mount(BIG)
                 again = forks.multicell(*words)
                 if again["code"] != ExitCode.DONE:  # only its report was lacking
@@ -77,3 +81,27 @@ def test_a_full_disk_ends_a_command_in_a_line_and_it_continues(
                     assert re.search("ends with the frame|not empty", again["text"])
         finally:
             unmount()
+
+
+@pytest.mark.harness
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="small disks are mounted on Linux")
+def test_a_full_disk_under_a_page_with_sliders_is_said_on_it(done, forks, small_disk, pytestconfig):
+    mount, unmount = small_disk
+    scene = mc.load_scene("growth").with_changes({"duration": "2 h", "output.every": "10 min"})
+    (done / "played.toml").write_text(scene.to_toml())
+    task = {"way": "play", "source": str(done / "played.toml")}
+    stopped = 0
+    for case in range(pytestconfig.getoption("full_disks")):
+        try:
+            disk = mount(random.Random(case).choice([4, 8, 12, 30, 80, 150, BIG]))
+            ended = forks.ask(
+                function="full_disk:attempt", limit=300.0, **{"with": {**task, "folder": str(disk)}}
+            )
+            assert ended["code"] == 0, (case, ended)
+            said = list(filter(None, json.loads(ended["text"].splitlines()[-1])["said"]))
+            assert all(FULL in words for words in said), (case, ended)
+            stopped += bool(said)
+        finally:
+            unmount()
+    assert stopped

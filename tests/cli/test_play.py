@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 import urllib.error
 import urllib.request
@@ -203,6 +204,19 @@ def test_older_runs_go_and_another_run_ends_the_one_before(tmp_path, monkeypatch
         ground.stop()
         assert ground.status()["going"] is False
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("pages", [1, 2])
+def test_a_disk_without_room_for_a_run_is_said_in_words(pages, small_disk, monkeypatch):
+    mount, _ = small_disk
+    disk = mount(4 * pages)
+    monkeypatch.setattr(tempfile, "tempdir", str(disk))
+    scene = mc.load_scene("treatment")
+    with Playground(scene, parse_ranges({KEY: "1:21 %"}, scene), 1.0, "") as ground:
+        (disk / "others").write_bytes(bytes(4096))
+        with pytest.raises(mc.OutputError, match="No space left on device"):
+            ground.begin()
+        assert (ground.number, ground.status()["going"]) == (0, False)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+from scene_strategies import relax
+
 import multicell as mc
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
@@ -9,6 +13,11 @@ from multicell.integrators.registry import METHODS
 CELLS = 24
 """Most cells of a drawn scene, where its parts do not need more."""
 STEPS = 3
+ENERGY = {
+    "file": str(Path(__file__).parents[1] / "networks" / "energy.ant"),
+    "inputs": {"O_out": "oxygen"},
+    "units": {"O_out": "mM"},
+}
 BOX = {f"domain.{axis}": ["-90 um", "90 um"] for axis in "xy"}
 OXYGEN = {"nutrients.oxygen": {"boundary": "0.05 mM", "uptake": "40 amol/s", "spacing": "10 um"}}
 TYPES = {"types": {"a": {"fraction": 0.5}, "b": {"fraction": 0.5, "young": "4 kPa"}}}
@@ -72,6 +81,27 @@ PARTS = {
             }
         },
     },
+    "own network": {"networks": {"relax": {"network": relax.name, "divide": {"A": "reset"}}}},
+    "network of a file": {**OXYGEN, "networks": {"energy": ENERGY}},
+    "network that takes up": {
+        **OXYGEN,
+        "networks": {"energy": {**ENERGY, "fluxes": {"oxygen": "uptake: Supply"}}},
+    },
+    "fed by a network": {
+        **OXYGEN,
+        "growth": {},
+        "networks": {"energy": {**ENERGY, "start": "steady", "method": "rodas4"}},
+        "responses": {
+            "fed": {
+                "behaviour": "growth", "signal": "energy.Energy", "law": "hill",
+                "half": 12, "power": 4,
+            },
+            "starved": {
+                "behaviour": "apoptosis rate", "signal": "energy.Energy", "law": "hill",
+                "half": 5, "power": 2, "falls": True, "largest": "1e-4 1/s",
+            },
+        },
+    },
     "coarse cells": {"cells.represents": 8},
     "no variation": {"cells.young_variation": 0},
     "loose": {"initial.spacing": 1.3},
@@ -95,11 +125,14 @@ def composed(rng):
     for method in rng.permutation(list(METHODS)):
         try:
             step = 0.25 * scene.coupling_step
-            return scene.with_changes(
+            scene = scene.with_changes(
                 {"integrator.method": str(method), "integrator.step": min(step, 10.0)}
-            ).to_dict()
+            )
         except SceneError:
             continue  # a full Jacobian, which friction makes
+        entries = scene.to_dict()
+        assert mc.Scene.from_dict(entries) == scene  # only its start may be refused
+        return entries
     raise AssertionError("no method holds the scene")
 
 

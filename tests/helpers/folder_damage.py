@@ -14,22 +14,30 @@ from damage import MEMORY, cut, flip, special, text
 from forks import limit_memory
 
 import multicell as mc
+from multicell.comparison.result import WorkPrecision
+from multicell.comparison.stability_limits.search import stability
+from multicell.comparison.work_precision import compare
+from multicell.errors import OutputError
+
+NETWORK = "hif.network.ant"
+"""The copy of a network's file that runs and studies keep."""
 
 
 def files_of(folder):
     """Return the files of a folder that are read again, by their paths in it."""
-    own = ("study.toml", "scene.toml", "expected.json", "fit.json", "search.log",
-           "result.json")  # fmt: skip
+    own = ("study.toml", "scene.toml", "expected.json", "fit.json", "search.log", "result.json",
+           "data.csv", "measured.log", "workprecision.json", "frames.h5",
+           "summary.json", NETWORK)  # fmt: skip
     names = [name for name in own if (folder / name).is_file()]
     runs = sorted((folder / "runs").glob("*/*")) if (folder / "runs").is_dir() else []
-    wanted = ("summary.json", "frames.h5", "scene.toml")
+    wanted = ("summary.json", "frames.h5", "scene.toml", NETWORK)
     return names * 2 + [str(p.relative_to(folder)) for p in runs if p.name in wanted]
 
 
 def hurt(folder, rng):
     path = folder / rng.choice(files_of(folder))
     ways = [cut, flip, flip, _edit, _edit, _edit, special, special, text]
-    if path.parent.parent.name == "runs":
+    if path.parent.parent.name == "runs" and path.name != NETWORK:
         ways += [_of_another_run] * 3
     way = rng.choice(ways)
     return f"{path.relative_to(folder)}, {way.__name__}: {way(path, rng)}"
@@ -116,6 +124,63 @@ def sensitivity(place):
     return {"table": [row["mu_star"] for row in found.table], "notes": list(found.notes)}
 
 
+def networked(place):
+    """Read a study whose cells have a network."""
+    found, made = study(place), mc.load_study(place)
+    found["inside"] = [
+        _bytes_of(mc.load_result(place / "runs" / run.name).frames[-1]) if state == "done" else []
+        for run, state in zip(made.runs, found["states"], strict=True)
+    ]
+    return found
+
+
+def network(place):
+    """Read a run whose cells have a network, and run its second half once more."""
+    given = mc.load_result(place)
+    again = mc.resume(place, 1, output=place.parent / "again", report=False, threads=1)
+    return {"frames": [_bytes_of(frame) for frame in given.frames],
+            "again": [_bytes_of(frame) for frame in again.frames]}  # fmt: skip
+
+
+def _bytes_of(frame):
+    return [frame.time, *(column.tobytes().hex() for _, column in frame.cells.columns())]
+
+
+def doses(place):
+    given = json.loads((place.parent / "doses.arguments").read_text())
+    found = mc.dose_response(given["scene"], given["dose"], given["doses"], seeds=1, output=place,
+                             cores=1, report=False)  # fmt: skip
+    return {"table": [row["viability"] for row in found.table], "notes": list(found.notes),
+            "ic50": [found.ic50.value, found.ic50.low, found.ic50.high]}  # fmt: skip
+
+
+def comparison(place):
+    """Continue a comparison of which everything was measured and no page was made."""
+    given = json.loads((place.parent / "comparison.arguments").read_text())
+    kept = None
+    if (place / "workprecision.json").exists():
+        try:
+            kept = _errors_of(WorkPrecision.read(place / "workprecision.json"))
+        except OutputError as error:
+            print(f"the numbers are refused: {error}", flush=True)
+    found = _errors_of(compare(output=place, ladder={"step": [30.0, 15.0]}, repeats=1,
+                               threads=1, **given))  # fmt: skip
+    assert kept in (None, found)
+    return found
+
+
+def _errors_of(found):
+    names = [name for name in found.table[0] if name.startswith("error")]
+    return {"table": [[row["method"], *(row[name] for name in names)] for row in found.table]}
+
+
+def limits(place):
+    """Continue a search for limits of stability of which everything was found."""
+    given = json.loads((place.parent / "limits.arguments").read_text())
+    found = stability(output=place, threads=1, **given)
+    return {"table": [[row["method"], row["setting"]] for row in found.table]}
+
+
 def read(folder):
     """Read a folder that is named after its kind, in all ways."""
     globals()[Path(folder).name](Path(folder))
@@ -129,7 +194,8 @@ def same(found, whole):
         ):
             if state == "done" and repr(row) != repr(other):
                 return False
-        return True
+        pairs = zip(found.get("inside", ()), whole.get("inside", ()), strict=True)
+        return all(row in ([], other) for row, other in pairs)
     failed = any("failed" in note for note in found.get("notes", ()))
     return repr(found) == repr(whole) or failed
 

@@ -87,3 +87,25 @@ CLOCK = network(
 def rows(count: int, *values: float) -> Any:
     """Return the same inputs for many cells, (count, m)."""
     return np.tile(np.array(values, dtype=float), (count, 1))
+
+
+WRITTEN = """model hif
+  compartment cell = 1
+  species HIF in cell = 0.1
+  made: -> HIF; cell * k_made
+  lost: HIF -> ; cell * k_lost * O2 * HIF
+  k_made = 0.01; k_lost = 0.3; O2 = 0.1
+  unit time_unit = 60 second
+end
+"""
+"""A network in the language of Antimony, and a scene beside whose file it lies."""
+WITH_NETWORK = """duration = "4 h"
+initial = { count = 4 }
+nutrients.oxygen.boundary = "0.1 mM"
+output.every = "2 h"
+growth = { cycle_time = "6 h" }
+[networks.hif]
+file = "own.ant"
+inputs = { O2 = "oxygen" }
+units = { O2 = "mM" }
+"""

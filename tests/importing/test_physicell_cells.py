@@ -102,6 +102,13 @@ def test_the_command_tells_what_it_did(project, tmp_path):
     again = call("import", "physicell", path, "-o", tmp_path / "out")
     assert again.exit_code == 2
     assert "exists already" in again.output
+    whole = (tmp_path / "out" / "cells.csv").read_bytes()
+    (tmp_path / "out" / "cells.csv").unlink()  # as a full disk leaves it
+    assert call("import", "physicell", path, "-o", tmp_path / "out").exit_code == 0
+    assert (tmp_path / "out" / "cells.csv").read_bytes() == whole
+    (tmp_path / "out" / "cells.csv").unlink()
+    (tmp_path / "out" / "account.md").write_text("mine")
+    assert call("import", "physicell", path, "-o", tmp_path / "out").exit_code == 2
     told = call("import", "physicell", path, "-o", tmp_path / "out", "--overwrite", "--json")
     document = json.loads(told.output)
     assert document["counts"]["mapped"] > 40

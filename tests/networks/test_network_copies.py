@@ -5,6 +5,7 @@ import shutil
 import h5py
 import numpy as np
 import pytest
+from network_models import WITH_NETWORK, WRITTEN
 from stored import assert_same_bits
 
 import multicell as mc
@@ -17,26 +18,6 @@ from multicell.studies.runs import run_digest
 pytest.importorskip("sbmlode")
 pytest.importorskip("antimony")
 
-TEXT = """model hif
-  compartment cell = 1
-  species HIF in cell = 0.1
-  made: -> HIF; cell * k_made
-  lost: HIF -> ; cell * k_lost * O2 * HIF
-  k_made = 0.01; k_lost = 0.3; O2 = 0.1
-  unit time_unit = 60 second
-end
-"""
-SCENE = """duration = "4 h"
-initial = { count = 4 }
-nutrients.oxygen.boundary = "0.1 mM"
-output.every = "2 h"
-[growth]
-cycle_time = "6 h"
-[networks.hif]
-file = "own.ant"
-inputs = { O2 = "oxygen" }
-units = { O2 = "mM" }
-"""
 COPY = "hif.network.ant"
 
 
@@ -45,8 +26,8 @@ def scene(tmp_path):
     """Return a scene that names a file beside it."""
     place = tmp_path / "mine"
     place.mkdir()
-    (place / "own.ant").write_text(TEXT, encoding="utf-8")
-    (place / "scene.toml").write_text(SCENE, encoding="utf-8")
+    (place / "own.ant").write_text(WRITTEN, encoding="utf-8")
+    (place / "scene.toml").write_text(WITH_NETWORK, encoding="utf-8")
     return mc.load_scene(place / "scene.toml")
 
 
@@ -69,7 +50,7 @@ def test_a_run_does_not_need_the_file_that_its_network_was_read_from(scene, tmp_
     forget(tmp_path)
     again = mc.load_result(tmp_path / "again")
     assert again.scene.networks["hif"].file == str(tmp_path / "again" / COPY)
-    assert (tmp_path / "again" / COPY).read_text(encoding="utf-8") == TEXT
+    assert (tmp_path / "again" / COPY).read_text(encoding="utf-8") == WRITTEN
     mc.resume(tmp_path / "again", 1, threads=1, report=False)
     assert_same_bits(tmp_path / "again", tmp_path / "moved")
     mc.resume(tmp_path / "again", 1, output=tmp_path / "other", threads=1, report=False)
@@ -83,7 +64,7 @@ def test_a_run_does_not_need_the_file_that_its_network_was_read_from(scene, tmp_
 
 def test_a_copy_with_another_content_is_refused(scene, tmp_path):
     run(scene, tmp_path / "out")
-    (tmp_path / "out" / COPY).write_text(TEXT.replace("0.3", "0.4"), encoding="utf-8")
+    (tmp_path / "out" / COPY).write_text(WRITTEN.replace("0.3", "0.4"), encoding="utf-8")
     for reads in (mc.load_result, mc.resume):
         with pytest.raises(OutputError, match=r"hif.file: .* is not the file that") as found:
             reads(tmp_path / "out")
@@ -94,7 +75,7 @@ def test_a_copy_with_another_content_is_refused(scene, tmp_path):
 
 
 def test_a_file_that_changes_before_the_run_is_refused(scene, tmp_path):
-    (tmp_path / "mine" / "own.ant").write_text(TEXT.replace("0.3", "0.4"), encoding="utf-8")
+    (tmp_path / "mine" / "own.ant").write_text(WRITTEN.replace("0.3", "0.4"), encoding="utf-8")
     with pytest.raises(SceneError, match=r"networks.hif.file: .* is not the file"):
         run(scene, tmp_path / "out")
     assert not (tmp_path / "out" / "scene.toml").exists()
@@ -109,7 +90,7 @@ def test_overwriting_removes_copies_that_are_not_needed(scene, tmp_path):
     run(scene, out)
     run(mc.load_scene(out / "scene.toml"), out, overwrite=True)  # its own copy
     assert (out / COPY).is_file()
-    (out / "mine.ant").write_text(TEXT, encoding="utf-8")
+    (out / "mine.ant").write_text(WRITTEN, encoding="utf-8")
     run(scene.with_changes({"networks": {}}), out, overwrite=True)
     assert {entry.suffix for entry in out.iterdir() if "ant" in entry.name} == {".ant"}
     assert [entry.name for entry in out.glob("*.ant")] == ["mine.ant"]

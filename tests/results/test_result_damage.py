@@ -95,7 +95,8 @@ def folders(tmp_path_factory):
 def test_damaged_folders_are_read_right_or_refused(folders, forks, tmp_path, pytestconfig):
     made, whole = folders
     wrong, refused = [], 0
-    for case in range(pytestconfig.getoption("damages")):
+    first = pytestconfig.getoption("first_seed")
+    for case in range(first, first + pytestconfig.getoption("damages")):
         folder = tmp_path / "case" / "out"
         shutil.copytree(made[KINDS[case % len(KINDS)]], folder)
         task = {"number": case, "folder": str(folder), "whole": str(whole)}
@@ -115,7 +116,8 @@ def test_damaged_folders_are_read_right_or_refused(folders, forks, tmp_path, pyt
 def test_forged_folders_are_refused_in_words(folders, forks, tmp_path, pytestconfig):
     made, _ = folders
     wrong = []
-    for case in range(pytestconfig.getoption("damages")):
+    first = pytestconfig.getoption("first_seed")
+    for case in range(first, first + pytestconfig.getoption("damages")):
         folder = tmp_path / "case" / "out"
         kind = ("killed", "resumed and killed", "finished")[case % 3]
         shutil.copytree(made[kind], folder)

@@ -68,7 +68,9 @@ def test_small_scenes_run_to_finite_numbers_or_fail_by_name(request):
 @pytest.mark.slow
 def test_every_scene_with_any_parts_by_any_method_runs_to_finite_numbers(request):
     counts = searched(request, "compose", "--draws")
-    assert {name.split(" ")[0] for name in counts} <= {"ran", "StepFailed", "SceneError"}
+    # refused: what holds the parts together does not hold the cells that are drawn
+    assert {name.split(" ")[0] for name in counts} <= {"ran", "StepFailed", "refused"}
+    assert counts["refused"] <= max(2, 0.1 * counts.total())
     assert counts["ran"] / counts.total() > 0.6, "the search runs too little"
 
 

@@ -20,7 +20,7 @@ from multicell.calibration.dose_response.curve import (
 )
 from multicell.calibration.dose_response.numbers import Row
 from multicell.calibration.dose_response.result import DoseResponse
-from multicell.errors import DataError, FitFailed, SceneError
+from multicell.errors import DataError, ExitCode, FitFailed, OutputError, SceneError
 from multicell.host.extras import needs
 from multicell.measured.columns import finite_entry
 from multicell.measured.table import read_measurements
@@ -282,19 +282,26 @@ def run_dose_plan(plan: DosePlan, folder: Path, **how: Any) -> DoseResponse:
             "doses may end at different times"
         )
     known = "living cells" if plan.observable == LIVING else words(plan.observable)
-    result = analyse_doses(
-        plan.points,
-        values,
-        rows,
-        names=plan.names,
-        units=plan.units,
-        response=known,
-        shared=True,
-        notes=notes,
-        scene=plan.scene,
-        folder=folder,
-        title=plan.scene.title or "Untitled scene",
-    )
+    try:
+        result = analyse_doses(
+            plan.points,
+            values,
+            rows,
+            names=plan.names,
+            units=plan.units,
+            response=known,
+            shared=True,
+            notes=notes,
+            scene=plan.scene,
+            folder=folder,
+            title=plan.scene.title or "Untitled scene",
+        )
+    except FitFailed as error:
+        stopped = [run.reason for run in outcomes if run.kind in ("machine", "unreadable")]
+        if not stopped:
+            raise
+        problem = f"{len(stopped)} runs could not be made, the first one: {stopped[0]}"
+        raise OutputError(problem, exit_code=ExitCode.MACHINE) from error
     result.write_tables()  # numbers do not wait for a page
     return result
 
