@@ -32,6 +32,7 @@ from multicell.scene.checks import (
     check_towards,
     check_types,
 )
+from multicell.scene.conditions import conditions
 from multicell.scene.domain import check_domain
 from multicell.scene.driven import PrescribedMotion, check_driven
 from multicell.scene.energy import Energy, check_energy
@@ -197,6 +198,7 @@ class Scene:
             check_networks(self, check_signal)
         if self.responses:
             check_responses(self)
+        conditions(self)
         self.contact.check_scene(self)
         check_domain(self)
         check_driven(self)

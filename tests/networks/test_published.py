@@ -118,3 +118,146 @@ def test_a_switched_medium_is_followed_as_an_exponential():
         since = max(0.0, simulation.time - 3600.0)
         want = made / low + (made / normal - made / low) * math.exp(-low * since)
         assert simulation.cells.inside[0, 0] == pytest.approx(want, rel=2e-3)
+
+
+TYSON = """
+// J. J. Tyson, PNAS 88 (1991) 7328, Table 1 and its six equations; time in minutes
+model tyson
+  unit minute = 60 second
+  unit time_unit = minute
+  species C2 = 0, CP = 0.75, pM = 0.25, M = 0, Y = 0, YP = 0
+  k1 = 0.015; k3 = 200; k4 = 180; k4p = 0.018; k6 = 1; k7 = 0.6; k8 = 1e6; k9 = 1e3
+  CT := C2 + CP + pM + M
+  J1: -> Y; k1
+  J3: CP + Y -> pM; k3 * CP * Y
+  J4: pM -> M; pM * (k4p + k4 * (M/CT)^2)
+  J6: M -> C2 + YP; k6 * M
+  J7: YP -> ; k7 * YP
+  J8: C2 -> CP; k8 * C2
+  J9: CP -> C2; k9 * CP
+end
+"""
+
+
+def cycling(table, after, **changes):
+    """Return a scene of one cell that divides when a condition comes true."""
+    length = {"G1": "5 min", "S": "5 min", "G2": "5 min", "M": "15 min"}
+    phases = {name: {"duration": time} for name, time in length.items()}
+    phases["G1"]["after"] = after
+    return mc.load_scene("growth").with_changes({
+        "initial.count": 1, "initial.stage": "birth", "contact.surface_energy": 0.0,
+        "growth.restriction": False, "growth.cycle_time": None, "growth.phases": phases,
+        "growth.hypertrophy": False, "networks": {"cycle": table}, **changes,
+    })  # fmt: skip
+
+
+def births_of(simulation):
+    """Return the times at which cells were born, each once, s."""
+    times, known = {}, set()
+    while not simulation.finished:
+        simulation.step()
+        cells = simulation.cells
+        for row in np.flatnonzero(cells.parent >= 0):
+            if int(cells.id[row]) not in known:
+                times.setdefault(int(cells.parent[row]), simulation.time - cells.age[row])
+        known |= set(cells.id.tolist())
+    return np.sort(list(times.values()))
+
+
+def test_the_cycle_of_tyson_1991_divides_cells(tmp_path):
+    pytest.importorskip("antimony")
+    file = tmp_path / "tyson.ant"
+    file.write_text(TYSON)
+    table = {"file": str(file), "dilution": False}
+    scene = cycling(table, "cycle.M > 0.1", duration="200 min", coupling_step="4 min")
+    times = births_of(mc.Simulation(scene, threads=1)) / 60.0
+    # one cell, two, four, eight: all of a generation at the same time. The paper has a period of
+    # 35 min; SciPy's LSODA at 1e-9 35.60
+    each = np.unique(np.round(times, 2))
+    assert len(each) == 5
+    assert [int(np.sum(np.abs(times - x) < 0.05)) for x in each] == [1, 2, 4, 8, 16]
+    assert each[0] == pytest.approx(48.88, abs=0.05)  # the pulse before that comes in G2
+    np.testing.assert_allclose(np.diff(each), 35.60, atol=0.05)
+
+
+@mc.network(
+    states={"x": 0.9, "y": 0.01, "z": 0.0, "m": 5.0, "u": 1.0}, inputs={"P": 1.0},
+    parameters={"a1": 0.05, "c1": 0.1, "cancer": 0.0}, time_unit=60.0,
+)  # fmt: skip
+def alarcon(t, y, u, p, out):
+    """T. Alarcon, H. M. Byrne, P. K. Maini, J. theor. Biol. 229 (2004) 395; normal cells.
+
+    x: Cdh1-APC, y: cyclin-CDK, z: p27, m: mass, u: RBNP; P: oxygen.
+    """
+    x, c, z, m, r = y[0], y[1], y[2], y[3], y[4]
+    out[0] = (1.0 + 10.0 * r) * (1.0 - x) / (1.04 - x) - 5.5 * m * x * c / (0.04 + x)
+    out[1] = 0.04 - (p[0] + x + 0.25 * z) * c
+    made = p[1] * (1.0 - (1.0 - p[2]) * m / 10.0)
+    out[2] = made - 0.01 * u[0] * z / (0.01 + u[0])
+    out[3] = 0.01 * m * (1.0 - m / 10.0)
+    out[4] = 0.01 - (0.1 + 0.01 * c) * r
+
+
+def reference_cycles(level, threshold, count=2, **values):
+    """Return the lengths of cycles by SciPy, h; infinite where a cell does not come to its end."""
+    from scipy.integrate import solve_ivp
+
+    p = np.array(list({"a1": 0.05, "c1": 0.1, "cancer": 0.0, **values}.values()))
+
+    def rates(t, y):
+        out = np.empty(5)
+        alarcon.rates(t, y, (level,), p, out)
+        return out
+
+    def ends(t, y):
+        return y[0] - threshold
+
+    ends.terminal, ends.direction = True, -1
+    y, found = np.array([0.9, 0.01, 0.0, 5.0, 1.0]), []
+    for _ in range(count):
+        end = solve_ivp(rates, (0.0, 6000.0), y, "LSODA", events=ends, rtol=1e-10, atol=1e-12)
+        found.append(end.t[-1] / 60.0 if end.status == 1 else math.inf)
+        y = end.y[:, -1] * np.array([1.0, 1.0, 1.0, 0.5, 1.0])
+    return found
+
+
+OXYGEN = {"diffusion": 2000.0, "uptake": 0.0, "spacing": 20.0}
+
+
+def alarcon_scene(level, after, parameters=None, **changes):
+    table = {"network": alarcon, "inputs": {"P": "oxygen"}, "dilution": False,
+             "divide": {"m": "halve"}, "parameters": parameters or {}}  # fmt: skip
+    nutrients = {"oxygen": {**OXYGEN, "boundary": level}}
+    return cycling(table, after, nutrients=nutrients, coupling_step="10 min", **changes)
+
+
+@pytest.mark.parametrize("level", [1.0, 0.1, 0.02, 0.005])
+def test_oxygen_sets_the_cycle_of_alarcon_2004(level):
+    first, second = reference_cycles(level, 0.004)
+    if level == 1.0:  # what another program's tests have of it, by another solver
+        assert first == pytest.approx(9.286356, abs=1e-4)
+    simulation = mc.Simulation(
+        alarcon_scene(level, "cycle.x < 0.004", duration=3600.0 * (first + second + 0.5)),
+        threads=1,
+    )
+    times = births_of(simulation) / 3600.0
+    assert len(simulation.cells) == 4
+    np.testing.assert_allclose(times, [first, first + second, first + second], atol=2e-3)
+
+
+@pytest.mark.parametrize("level", [0.02, 0.002])
+def test_cancer_cells_without_oxygen_are_arrested(level):
+    # z comes to rest at c1 (B + P) / (c2 P): so much p27 that x stays above the threshold
+    values = {"a1": 0.04, "c1": 0.007, "cancer": 1.0}
+    first, _ = reference_cycles(level, 0.04, **values)
+    assert (first == math.inf) == (level == 0.002)
+    duration = "90 h" if level == 0.002 else "3 h"
+    scene = alarcon_scene(level, "cycle.x < 0.04", parameters=values, duration=duration)
+    simulation = mc.Simulation(scene, threads=1)
+    times = births_of(simulation) / 3600.0
+    if level == 0.002:
+        assert not len(times)
+        z = simulation.cells.inside[0, 2]
+        assert z == pytest.approx(0.007 * 0.012 / (0.01 * 0.002), rel=1e-3)
+    else:
+        assert times[0] == pytest.approx(first, abs=2e-3)
