@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, final
@@ -255,6 +256,12 @@ class Growth:
         """Which phases end by a condition and not by their duration, G0 first, (5,)."""
         after = [self.phases[name].after is not None for name in CYCLE_PHASES if self.phases]
         return np.array([False, *after[1:], *after[:1]] if after else [False] * 5)
+
+    @property
+    def signals(self) -> frozenset[str]:
+        """The signals that start phases."""
+        texts = (phase.after for phase in self.phases.values() if phase.after)
+        return frozenset(re.split("[<>]", text)[0].strip() for text in texts)
 
     @property
     def mean_cycle(self) -> float:

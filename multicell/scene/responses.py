@@ -8,7 +8,6 @@ responses; both become :class:`Effect` here, and nothing else is evaluated in a 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -171,8 +170,7 @@ def relevant_fields(scene: Scene) -> set[str]:
     read = {*followed(scene), *(part.oxygen for part in scene.radiation.values())}
     read |= {signal for effect in effects(scene) for signal in effect.signals}
     read |= {signal for part in scene.networks.values() for signal in (part.inputs or {}).values()}
-    phases = {} if scene.growth is None else scene.growth.phases
-    read |= {re.split("[<>]", part.after)[0].strip() for part in phases.values() if part.after}
+    read |= set() if scene.growth is None else scene.growth.signals
     for field in scene.nutrients.values():
         read |= {*field.uptake_on, *(field.secretion_from or ())}
     for reaction in scene.reactions.values():

@@ -111,13 +111,25 @@ def test_the_time_of_a_passage_is_of_second_order_in_the_step():
     ("time > 50 min", 3000.0),
     ("age > 3000", 3000.0),
     ("neighbours < 1", 0.0),
+    ("neighbours > 0", math.inf),
 ])  # fmt: skip
 def test_any_signal_starts_a_phase_at_its_time(condition, want, step):
     changes = {"growth.phases.S.after": condition, "growth.phases.S.duration": "5 h",
                "networks": {}, "duration": "2 h"}  # fmt: skip
     _, _, phases = _run(changes, step)
+    if want == math.inf:
+        assert all(phase[0] == 1 for _, phase, _ in phases)
+        return
     time, _, progress = next(x for x in phases if x[1][0] == 2)
     assert time - progress[0] == pytest.approx(want, abs=1e-3)
+
+
+def test_contacts_are_counted_where_a_condition_asks_for_them():
+    changes = {"growth.phases.S.after": "neighbours > 0", "initial.count": 2,
+               "initial.shape": "row", "initial.spacing": 0.9, "networks": {},
+               "growth.phases.S.duration": "5 h", "duration": "1 h"}  # fmt: skip
+    _, _, phases = _run(changes)
+    assert (phases[-1][1] == 2).all()
 
 
 def test_a_field_that_falls_starts_a_phase():
@@ -193,14 +205,14 @@ def test_what_is_no_condition_is_refused(text, words, hint):
 
 
 def test_a_condition_where_it_makes_no_sense_is_refused():
-    with pytest.raises(SceneError, match="responses.entry"):
+    with pytest.raises(SceneError, match=r"responses.entry"):
         _scene({
             "growth.phases.S.after": "clock.A > 1",
             "responses.entry": {"behaviour": "entry into S", "signal": "clock.A", "half": 1.0},
         })  # fmt: skip
-    with pytest.raises(SceneError, match="growth.phases"):
+    with pytest.raises(SceneError, match=r"growth.phases"):
         mc.load_scene("growth").with_changes({"growth.phases.S.after": "age > 3 h"})
-    with pytest.raises(SceneError, match="have no network 'clock'"):
+    with pytest.raises(SceneError, match=r"have no network 'clock'"):
         _scene({
             "growth.phases.S.after": "clock.A > 1", "types": {"a": {}, "b": {}},
             "networks.clock.cells": "b",
