@@ -69,7 +69,7 @@ def between(h, x, y, s, state):
 
 
 @_inner
-def _stays_below(watch, h, y, s):
+def stays_below(watch, h, y, s):
     """Return whether the cubic of a state cannot come to the level between the ends."""
     k = watch.place
     if k >= y.size:
@@ -85,8 +85,6 @@ def passage_within(watch, here, t, h, y, s, seen):
 
     Returns low, high; both the same where it is there already, and high above 1 where it does not.
     """
-    if not watch.since < t + h or _stays_below(watch, h, y, s):
-        return 0.0, 2.0
     low = (watch.since - t) / h if watch.since > t else 0.0
     between(h, low, y, s, s.point)
     if excess_of(watch, here, t + low * h, s.point, s.u, seen) > 0.0:
