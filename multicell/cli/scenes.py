@@ -149,8 +149,8 @@ def importing(
 
 
 def _scene_row(name: str) -> dict[str, Any]:
-    from multicell.scene.scene import Scene, scene_text
     from multicell.host.files import parse_toml
+    from multicell.scene.scene import Scene, scene_text
 
     entries = parse_toml(scene_text(name))
     # a list needs no network: to read one takes a second, and packages that may not be here
