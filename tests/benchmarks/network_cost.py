@@ -18,7 +18,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 import multicell as mc
-from tests.networks.test_published import alarcon
+from tests.helpers.cycling_networks import alarcon
 
 STEPS = 6  # of ten minutes, in an hour
 
