@@ -3,8 +3,8 @@
 
 Problem
     A spheroid of 1,000 cells takes up oxygen at a constant rate while there is any. The medium has
-    0.05 mM, then 0.028 mM for 12 hours, then 0.05 mM again. Below 0.01 mM cells rest. The radius
-    within which they do so is compared with the steady solution for a ball with uniform uptake q::
+    0.05 mM, then 0.028 mM for 12 hours, then 0.05 mM again. Below 0.01 mM cells are quiescent. The
+    radius of that region is compared with the steady solution for a ball with uniform uptake q::
 
         c(r) = c0 - q R^3 / 3D (1/R - 1/(R + L)) - q / 6D (R^2 - r^2)
 

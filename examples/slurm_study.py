@@ -65,7 +65,7 @@ def cluster(queue, cores, memory, walltime, interface=None, account=None):
         interface=interface,
         security=True,
         shared_temp_directory=str(certificates),
-        # this Python, and what runs need is loaded before the first one
+        # this Python, and the packages of runs are loaded before the first one
         python=sys.executable,
         worker_extra_args=["--preload", "multicell.studies.workers"],
         job_script_prologue=QUIET,

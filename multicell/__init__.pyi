@@ -5,9 +5,9 @@ from multicell.behaviours.custom import response as response
 from multicell.behaviours.growth_laws.custom import growth_law as growth_law
 from multicell.calibration.dose_response.analysis import dose_response as dose_response
 from multicell.calibration.dose_response.result import DoseResponse as DoseResponse
+from multicell.calibration.fitting.choice import compare_fits as compare_fits
 from multicell.calibration.fitting.fit import fit as fit
-from multicell.calibration.fitting.fitted import Fit as Fit
-from multicell.calibration.fitting.predictive import compare_fits as compare_fits
+from multicell.calibration.fitting.result import Fit as Fit
 from multicell.calibration.fitting.stored import load_fit as load_fit
 from multicell.calibration.sensitivity.analysis import sensitivity as sensitivity
 from multicell.calibration.sensitivity.result import Sensitivity as Sensitivity

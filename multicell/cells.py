@@ -17,7 +17,7 @@ from multicell.vectors import cubes
 IntArray = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Signals = Mapping[str, FloatArray]
-"""What cells find: fields in mM, and other signals, by their names: name -> (n,)."""
+"""Signals at the cells by name, (n,) each: fields in mM, and others."""
 
 SPHERE = 4.0 * np.pi / 3.0
 """Volume of a sphere of unit radius."""
@@ -169,6 +169,15 @@ class Cells:
                 raise ValueError(f"cells.{name} has shape {array.shape}, expected {shape}")
             setattr(self, name, array)
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name not in _layout() and not hasattr(type(self), name):
+            from difflib import get_close_matches
+
+            near = get_close_matches(name, _layout(), n=1, cutoff=0.5)
+            hint = f"; did you mean {near[0]!r}?" if near else f": {', '.join(_layout())}"
+            raise AttributeError(f"cells have no column {name!r}{hint}", name=name, obj=self)
+        super().__setattr__(name, value)
+
     def __len__(self) -> int:
         return len(self.id)
 
@@ -301,3 +310,13 @@ def rows_by_id(known: IntArray, ids: IntArray) -> IntArray:
     order = np.argsort(known)
     place = np.minimum(np.searchsorted(known, ids, sorter=order), len(known) - 1)
     return np.where(known[order[place]] == ids, order[place], -1)
+
+
+def contact_rows(cells: Cells, contacts: IntArray) -> IntArray:
+    """Return the rows of the cells of each pair, given by identities: (m, 2), absent ones left out.
+
+    - ``cells``: all cells
+    - ``contacts``, (m, 2): identities
+    """
+    rows = cells.rows_of(contacts).reshape(-1, 2)
+    return rows[(rows >= 0).all(axis=1)]

@@ -179,7 +179,7 @@ class OutputError(MulticellError):
     Parameters
     ----------
     problem
-        What is wrong, where, and what to do about it.
+        Problem, place, and hint.
     exit_code
         ``MACHINE`` for a run that could not go on writing; a folder that could not be used from
         the start is refused, unless the system is the cause (:func:`exit_code_of`).

@@ -132,13 +132,13 @@ def two_cells(scene: Scene) -> tuple[Mechanics, FloatArray]:
     from multicell.biology.initial import initial_cells
     from multicell.biology.motion import motion_of
     from multicell.biology.plan import biology_plan
-    from multicell.scene import start
     from multicell.scene.dependences import followed
+    from multicell.simulation.assembly import mechanics_of
 
     cells = initial_cells(scene).take(np.zeros(2, dtype=np.int64))
     cells.id = np.arange(2, dtype=cells.id.dtype)
     cells.position[:, 0] += 1.9 * cells.radius * np.array([-0.5, 0.5])
-    system = start.mechanics(scene, 1)
+    system = mechanics_of(scene, 1)
     motion = motion_of(
         biology_plan(scene),
         cells,
@@ -212,7 +212,7 @@ def take_step(scene: Scene, takes: Callable[[str], bool] = bool) -> None:
     from multicell.compiling import address_of
     from multicell.integrators.adams_bashforth import AdaptiveAdams
     from multicell.integrators.driver import needs_python
-    from multicell.results.observables import counts_contacts
+    from multicell.scene.dependences import counts_contacts
 
     (system, position), method = two_cells(scene), first_method(scene)
     counts = counts_contacts(scene)

@@ -81,7 +81,8 @@ def thresholds(
     """Return the integral of its rate at which the event of each cell comes to pass, (n,).
 
     Exponential with mean 1, so that events come as those of a Poisson process whatever the rate.
-    ``event`` tells events of the same cell apart, also by cell; the rest is as for :func:`uniform`.
+    ``event`` distinguishes events of the same cell, also by cell; the rest is as for
+    :func:`uniform`.
     """
     return np.asarray(-np.log1p(-uniform(seed, purpose, event, ids)[:, 0]))
 
@@ -101,7 +102,7 @@ def uniform(
     - ``step``: index of the coupling step or the event, 0 or more; one for all or of each cell
     - ``ids``, (n,) int64: identities of the cells, 0 or more
     - ``count``: numbers a cell
-    - ``attempt``: tells repeated draws for the same cell, step and purpose apart
+    - ``attempt``: distinguishes repeated draws for the same cell, step and purpose
 
     Returns (n, count) float64.
 

@@ -235,7 +235,7 @@ def advance_run(
         # what cannot be written now cannot be finished either
         raise OutputError(
             f"{error}. The run stopped at {simulation.time:g} s; what was saved before can be "
-            "read, and 'multicell resume' goes on from it when there is room"
+            "read, and 'multicell resume' continues from it once there is room"
         ) from error
     except BaseException as error:
         try:
@@ -430,7 +430,7 @@ def resume(
     report: bool = True,
     reactions: Mapping[str, OwnReaction] | None = None,
 ) -> Result:
-    """Go on with a run from a frame; without changes it becomes what it would have been.
+    """Resume a run from a frame; without changes the result is that of one uninterrupted run.
 
     A run that has come to its end but could not write all of its results (disk full) is finished
     now.
@@ -445,8 +445,8 @@ def resume(
         Folder for the run with what came before the frame; by default that of the run, in which
         what came after the frame is replaced. Until the part before is copied nothing is lost.
     changes
-        Dotted keys with new values, as in :meth:`Scene.with_changes`: of what may change while
-        a run goes on, such as ``duration``, ``stop_cells``, ``output.every`` or the medium.
+        Dotted keys with new values, as in :meth:`Scene.with_changes`: keys that may change
+        during a run, such as ``duration``, ``stop_cells``, ``output.every`` or the medium.
     integrator
         As for :func:`multicell.run`; a run by a method of the user's own needs it again.
     overwrite
@@ -491,11 +491,11 @@ def record_resumed(
     changes: Mapping[str, Any] | None = None,
     planned: bool = False,
 ) -> Recorder:
-    """Resume a run as :func:`resume` does, and read nothing back of what was written.
+    """Resume a run as :func:`resume`, without reading the results back.
 
-    Where only ``planned`` frames are to be kept, and the run goes on in its own folder, one that
-    an interruption has added is left out once the run has gone on from it: the folder becomes bit
-    by bit that of a run that nothing has interrupted.
+    Where only ``planned`` frames are to be kept, and the run continues in its own folder, one that
+    an interruption has added is left out once the run has continued from it: the folder becomes
+    bitwise identical to that of an uninterrupted run.
     """
     from multicell.results.reader import Contents
     from multicell.results.writer import Store
@@ -555,8 +555,8 @@ def _last_planned(contents: Contents, place: int, simulation: Simulation) -> int
 
 def _place(contents: Contents, frame: int) -> int:
     if not hasattr(frame, "__index__"):
-        told = f"the frame to go on from is a whole number, not {shown(frame)}"
-        raise OutputError(f"{told}. Changes are given by name: changes={{...}}")
+        problem = f"the frame to resume from is a whole number, not {shown(frame)}"
+        raise OutputError(f"{problem}. Changes are given by name: changes={{...}}")
     count = len(contents.places)
     place = frame + count if frame < 0 else frame
     if not 0 <= place < count:
@@ -607,5 +607,5 @@ def _change(scene: Scene, changes: Mapping[str, Any]) -> Scene:
             free = parts[2] in _OF_A_NUTRIENT
         if not free:
             allowed = ", ".join([*_MAY_CHANGE, *(f"nutrients.<name>.{k}" for k in _OF_A_NUTRIENT)])
-            raise SceneError(key, "cannot change while a run goes on", f"Allowed: {allowed}")
+            raise SceneError(key, "cannot change during a run", f"Allowed: {allowed}")
     return scene.with_changes(changes)

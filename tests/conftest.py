@@ -15,9 +15,9 @@ from hypothesis import settings
 
 # Two workers begin at the first test, with kernels of mechanics, and at the one in the middle, with
 # those of fields, so that they seldom compile the same. No long test comes last.
-ROOMS = ("contact", "mechanics", "integrators", "biology", "comparison", "calibration",
-         "studies", "docs", "examples", "validation", "nutrient", "tests", "results", "cli",
-         "report", "scene")  # fmt: skip
+ROOMS = ("contact", "conformance", "mechanics", "integrators", "biology", "comparison",
+         "calibration", "studies", "docs", "examples", "validation", "nutrient", "tests",
+         "results", "cli", "report", "scene")  # fmt: skip
 
 # the first example of a test may have to compile a kernel; the same examples every time,
 # so that a failure can be seen again
@@ -42,7 +42,12 @@ def pytest_addoption(parser):
     )
 
 
-def pytest_collection_modifyitems(items):
+def pytest_collection_modifyitems(config, items):
+    # here and not by an option -m, in whose place the user's would stand
+    if "benchmark" not in config.option.markexpr:
+        timed = [item for item in items if item.get_closest_marker("benchmark")]
+        config.hook.pytest_deselected(items=timed)
+        items[:] = [item for item in items if item not in timed]
     order = {name: place for place, name in enumerate(ROOMS)}
     items.sort(key=lambda item: order.get(item.path.parent.name, len(ROOMS)))
 

@@ -45,7 +45,14 @@ def handled():
         signal.signal(number, handler)
 
 
-@pytest.mark.parametrize("method", ["auto", "rkc2", "euler", "cvode", "rosenbrock"])
+OTHERS = ("rkc2", "euler", "cvode", "rosenbrock")
+"""Methods that compile a loop of their own each."""
+
+
+@pytest.mark.parametrize(
+    "method",
+    ["auto", *(pytest.param(m, marks=pytest.mark.slow) for m in OTHERS)],
+)
 def test_no_kernel_calls_python(method):
     """What kernels return is made without Python, where a signal's handler could raise."""
     scene, called = SCENE.with_changes({"integrator.method": method}), set()

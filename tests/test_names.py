@@ -2,7 +2,10 @@
 
 import ast
 from collections import defaultdict
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
+
+import pytest
 
 import multicell
 
@@ -142,3 +145,34 @@ def test_numbers_without_reasons_are_seen(tmp_path):
     assert numbers_without_reason(tmp_path) == [
         "a.py: _FAR = 8.0", "a.py: _BOTH = (0.5, 2)", "a.py: _LAST = -0.001",
     ]  # fmt: skip
+
+
+def arrows(folder, top):
+    """Return for each module of a folder which others of it are imported, in any way and place."""
+    names = {
+        ".".join([top, *path.relative_to(folder).with_suffix("").parts]): path
+        for path in folder.rglob("*.py")
+        if path.name != "__init__.py"
+    }
+    return {
+        name: {
+            node.module
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+            if isinstance(node, ast.ImportFrom) and node.module in names
+        }
+        for name, path in names.items()
+    }
+
+
+@pytest.mark.parametrize("room", ["calibration", "comparison"])
+def test_results_and_their_pages_make_no_circle(room):
+    """Imports in functions and those for annotations count, which the linter leaves out."""
+    found = arrows(PACKAGE / room, f"multicell.{room}")
+    assert set(TopologicalSorter(found).static_order()) == set(found)
+
+
+def test_circles_are_seen(tmp_path):
+    (tmp_path / "a.py").write_text("def f():\n    from room.b import B\n")
+    (tmp_path / "b.py").write_text("if TYPE_CHECKING:\n    from room.a import f\n")
+    with pytest.raises(CycleError):
+        TopologicalSorter(arrows(tmp_path, "room")).prepare()

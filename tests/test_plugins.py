@@ -7,6 +7,7 @@ import pytest
 from running import refused
 
 from multicell.errors import SceneError
+from multicell.plugins.fingerprints import fingerprint
 from multicell.plugins.named import is_recorded_object, load_object, origin
 
 
@@ -74,3 +75,21 @@ def test_the_form_of_a_name():
     assert not is_recorded_object("cvode")
     assert not is_recorded_object("mine.py:")
     assert not is_recorded_object("a\n.py:Own")
+
+
+def test_a_fingerprint_changes_with_the_number_of_arguments():
+    def one(x):
+        return x
+
+    def two(x, y):
+        return x
+
+    def keyword(x, *, y):
+        return x
+
+    def many(x, *y):
+        return x
+
+    marks = [fingerprint(function) for function in (one, two, keyword, many)]
+    assert len(set(marks)) == 4
+    assert fingerprint(one) == marks[0]

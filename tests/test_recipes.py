@@ -128,7 +128,7 @@ RECIPES = {
     "observable": {"results/measures.py": [("OBSERVABLES: Final = (\n", OBSERVABLE)]},
     "key": {
         "scene/parts.py": [(DRAG, DRAG + KEY)],
-        "scene/start.py": [(VISCOSITY + ",", VISCOSITY + " * scene.drag.crowding,")],
+        "simulation/assembly.py": [(VISCOSITY + ",", VISCOSITY + " * scene.drag.crowding,")],
     },
     "network method": {
         "networks/methods.py": [("    for method in (\n", PAIR)],

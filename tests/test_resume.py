@@ -186,7 +186,7 @@ def test_what_cannot_be_resumed_is_refused_with_words(tmp_path):
             mc.resume(folder, frame)
     with pytest.raises(OutputError, match="there are no results"):
         mc.resume(tmp_path / "nothing")
-    with pytest.raises(SceneError, match="cannot change while a run goes on"):
+    with pytest.raises(SceneError, match="cannot change during a run"):
         mc.resume(folder, 0, changes={"cells.young": "2 kPa"})
     with h5py.File(folder / "frames.h5", "r+") as file:
         file.attrs["format"] = 3

@@ -2,6 +2,9 @@
 
 import ast
 from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
 
 TESTS = Path(__file__).parent
 FILES = sorted(TESTS.rglob("*.py"))
@@ -106,3 +109,20 @@ def test_the_rules_see_what_breaks_them(tmp_path):
     file.write_text("\n".join([*bad, "def test_c(): assert 1 or 2"]))
     assert unchecked(file) == ["test_b"]
     assert alternatives(file) == [4]
+
+
+@pytest.mark.parametrize(("asked", "left"), [("", 1), ("not slow", 1), ("benchmark", 2)])
+def test_benchmarks_run_where_they_are_asked_for(asked, left, request):
+    """Also with other marks on the command line, which replace those of the settings."""
+    (own,) = (p for p in request.config.pluginmanager.get_plugins() if hasattr(p, "ROOMS"))
+    gone = []
+    config = SimpleNamespace(
+        option=SimpleNamespace(markexpr=asked),
+        hook=SimpleNamespace(pytest_deselected=lambda items: gone.extend(items)),
+    )
+    items = [
+        SimpleNamespace(path=Path("tests/cli/test_a.py"), get_closest_marker={}.get),
+        SimpleNamespace(path=Path("tests/b.py"), get_closest_marker={"benchmark": True}.get),
+    ]
+    own.pytest_collection_modifyitems(config, items)
+    assert (len(items), len(gone)) == (left, 2 - left)

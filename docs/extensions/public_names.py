@@ -16,9 +16,8 @@ def public_names() -> Iterator[str]:
     for name in multicell.__all__:
         if name != "testing":
             yield f"multicell.{name}"
-    for name, value in vars(multicell.testing).items():
-        own = getattr(value, "__module__", "") == "multicell.testing"
-        if own and callable(value) and not name.startswith("_"):
+    for name in multicell.testing.__all__:
+        if callable(getattr(multicell.testing, name)):
             yield f"multicell.testing.{name}"
 
 

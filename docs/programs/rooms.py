@@ -28,7 +28,7 @@ WHAT = {
     "ode": "for outside solvers", "runner": "run, resume", "report": "result, pages, pictures",
     "simulation": "state and the coupling step",
     "behaviours": "growth, responses", "networks": "inside cells",
-    "host": "files, signals, memory", "measured": "measurements",
+    "host": "files, signals, memory", "population": "radius, core, rim", "measured": "measurements",
     "nutrient": "fields", "biology": "what cells do",
     "results": "frames, history, journal", "scene": "what there is", "integrators": "methods",
     "mechanics": "forces, Jacobian, lists", "contact": "pair laws", "plugins": "what users add",

@@ -29,7 +29,7 @@ _EFFECT: Final = ("falls", "base", "largest")  # keys of laws that give a share
 
 
 class ResponseLaw(ABC):
-    """A law of response, which declares here what others ask of it.
+    """A law of response, with the properties that other rooms ask for.
 
     - ``needs``, ``may_have``: keys of a response in a scene; its fields are filled from those of
       the same names

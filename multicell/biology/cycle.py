@@ -8,7 +8,7 @@ in the next one, also after division, so that cycles do not become longer with t
 
 At the end of G1 (the restriction point; A. B. Pardee, PNAS 71 (1974) 1286) a cell that finds too
 little nutrient or too much pressure goes to G0, and on to S when it decides anew in better
-conditions. Where the scene has no restriction, cells rest in any phase.
+conditions. Where the scene has no restriction, cells become quiescent in any phase.
 
 A phase that a condition ends (``plan.waits``) lasts whatever its duration is: its clock counts all
 time since the cell entered it, and when the condition has come true (:mod:`.waiting`) the cell

@@ -284,7 +284,7 @@ def part_until(
 ) -> FloatArray:
     """Return at which part of what an integral has gained it reaches the cell's threshold, (n,).
 
-    Infinite where it does not; ``number`` tells events of the same cell apart.
+    Infinite where it does not; ``number`` distinguishes events of the same cell.
     """
     part = np.full(len(ids), np.inf)
     grows = np.flatnonzero(gained > 0.0)

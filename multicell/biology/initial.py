@@ -154,7 +154,7 @@ def _states(columns: Mapping[str, NDArray[Any]], count: int) -> NDArray[np.int8]
 
 
 def _volumes(plan: BiologyPlan, given: Given | None) -> FloatArray | None:
-    """Return the volumes of the cells over that at birth, (n,), if a table tells them."""
+    """Return the volumes of the cells over that at birth, (n,), if a table has them."""
     radius = None if given is None else given.columns.get("radius")
     return None if radius is None else np.asarray(SPHERE * radius**3 / plan.birth_volume)
 
@@ -224,6 +224,6 @@ def _share_of_cycle(cells: Cells, given: Given, cycle: FloatArray) -> FloatArray
     """Return the part of the cycle that cells have behind them by their age, (n,)."""
     share = given.columns["age"] / cycle
     share = np.where(cells.dead, 0.0, share)  # the age of the dead counts from their death
-    hint = "Give a column 'radius_um': of cells that have rested the age does not tell the size."
+    hint = "Give a column 'radius_um': the size of once quiescent cells does not follow from age."
     given.refuse(share >= 1.0, "age", "is {}, beyond the cycle time of the cell", hint)
     return share

@@ -1,4 +1,4 @@
-"""Networks inside cells: what they find becomes inputs, and what they hold becomes signals.
+"""Networks inside cells: signals become their inputs, and their states become signals.
 
 All that networks carry from step to step stands in one column of the cells, ``inside``: of each
 network its states, the inputs at the end of the last step, what its solver remembers of the cell,
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 FindSignals = Callable[[Cells], Signals]
-"""Returns what cells find: fields in mM, and other signals."""
+"""Returns signals at the cells: fields in mM, and others."""
 
 
 @final

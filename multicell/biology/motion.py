@@ -10,9 +10,9 @@ from multicell.biology.active_forces import push
 from multicell.biology.driven import Named, prescribed
 from multicell.biology.responding import value_of
 from multicell.biology.surface import surface_force
-from multicell.cells import Cells, FloatArray, IntArray, Signals, stokes_drag
+from multicell.cells import Cells, FloatArray, IntArray, Signals, contact_rows, stokes_drag
 from multicell.mechanics.motion import Motion
-from multicell.results.observables import Extent, centre, contact_rows, distances
+from multicell.population.extents import Extent, centre, distances
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan

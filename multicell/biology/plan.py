@@ -53,12 +53,12 @@ class BiologyPlan:
     - ``phased``: whether the cycle has phases
     - ``grows``, (5,) bool: for each :class:`multicell.cells.Phase` whether cells grow in it
     - ``waits``, (5,) bool: which phases a condition ends, and ``awaited``: these conditions
-    - ``restricted``: whether cells rest in G0 only
+    - ``restricted``: whether cells are quiescent in G0 only
     - ``stage``, ``varies``, ``founders``: where in their cycle cells start, whether newborn ones
       draw durations that differ, and below which identity they are founders of a stable population:
       zero where the cycle does not vary or is inherited
     - ``responses``: of each behaviour that responds to anything, by its name
-    - ``may_rest``: whether anything lets cells rest, or makes a field that they may wake up in
+    - ``may_rest``: whether anything makes cells quiescent, or a field in which they may wake
     - ``base_rates``, name -> 1/s: the rate of apoptosis without responses, where cells die so at
       all
     - ``acting``: behaviours that are rates, which act by their integral over a step

@@ -32,9 +32,8 @@ from numpy.typing import NDArray
 
 from multicell import random
 from multicell.behaviours.catalogue import CONTACTS, FULL_CROWDING, PHASE, needs_contacts
-from multicell.cells import Phase
+from multicell.cells import Phase, contact_rows
 from multicell.random import Purpose
-from multicell.results.observables import contact_rows
 from multicell.scene.responses import Effect, effects
 from multicell.vectors import lengths
 
@@ -49,7 +48,7 @@ _RATES: Final = ("apoptosis rate", "damage rate")
 
 
 Level = Callable[["Signals", "Cells | None", "FloatArray | None"], Any]
-"""What returns a signal, (n,), from what cells find, the cells and their pressure."""
+"""Function that returns a signal, (n,), from fields, the cells and their pressure."""
 
 
 @final

@@ -2,7 +2,7 @@
 
 If all cells took up at the full rate before any rests or is dead, the field of a large tissue would
 be far too low, and most of it would die at once. So the states are those of tissue that has been
-there for long: cells rest where they find too little, those who are dead take up nothing, and the
+there for long: cells short of a nutrient are quiescent, dead ones take up nothing, and the
 field is that of the cells as they are. Each state that is taken up makes the field rise, so that
 as few as possible take it: the poorest cells, and no more than leave none of the others beyond the
 threshold. First the resting ones are found, with nobody dead; then the dead among these; then some
@@ -84,7 +84,7 @@ class StartStates:
         return now, int(left.sum())
 
     def _let_rest(self, signals: Signals) -> Signals:
-        """Let cells rest that find too little, and wake those that find enough."""
+        """Make cells quiescent that lack a nutrient, and wake those that have enough."""
 
         def poor(signals: Signals) -> Mask:
             lacking = wants_rest(self._plan, self._first, signals)
@@ -98,7 +98,7 @@ class StartStates:
         return self._turn(self.rests, pool, poor, signals, resting=True)
 
     def _let_die(self, signals: Signals) -> Signals:
-        """Let the cells die that cannot live with what they find."""
+        """Let the cells die whose signals are beyond a threshold of death."""
 
         def starved(signals: Signals) -> Mask:
             return np.asarray(self._may_die & ~self.dead & self._starve(signals))
@@ -109,7 +109,7 @@ class StartStates:
         )
 
     def _starve(self, signals: Signals) -> Mask:
-        """Return which cells would die at once of what they find, (n,)."""
+        """Return which cells would die at once at their signals, (n,)."""
         hazard = rate_of_harm(self._plan, "necrosis rate", signals, self._first)
         return np.zeros(len(self.dead), dtype=bool) if hazard is None else np.isinf(hazard)
 

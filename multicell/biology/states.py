@@ -66,7 +66,7 @@ def update_states(
     Another cell that is due to decide
     (:func:`deciding`) rests (quiescent) if a response lets it
     (:func:`multicell.biology.responding.wants_rest`), and proliferates if none does. Where nothing
-    lets cells rest, their states stay as they are.
+    makes cells quiescent, their states stay as they are.
 
     - ``dying``: from :func:`deaths`; absent: those who find what kills at once
     - ``dt``, ``ahead``: lengths of the step that has ended and of the next one, s; absent: the

@@ -119,25 +119,25 @@ def dose_response_command(
     observables: Sequence[str],
     seeds: int,
     changes: Sequence[str],
-    law: str | None,
+    laws: tuple[str, ...],
     **how: Any,
 ) -> None:
     """Find the dose at which half of the cells of a SCENE are left, and what two drugs do together.
 
-    Every number has its 95 % interval. What lies outside the doses tested is said to, never
+    Every number has its 95 % interval. Values outside the doses tested are reported as such, never
     extrapolated. An analysis that was stopped continues with the same command; more doses or
-    --seeds take the runs that are there.
+    --seeds reuse the existing runs.
     """
     if (scene is None) == (data is None):
         raise click.UsageError("Give a SCENE with --dose, or measured --data.")
     pairs = studies.key_values(drugs, "--dose")
     if data is None and (columns or where):
         raise click.UsageError("--columns and --where belong to --data.")
-    if data is not None and (pairs or changes or law or observables):
+    if data is not None and (pairs or changes or laws or observables):
         raise click.UsageError("--dose, --set, --law and --observable belong to a SCENE.")
     if scene is not None and len(pairs) not in (1, 2):
         raise click.UsageError(f"--dose is given {len(pairs)} times, must be once or twice.")
-    described = None if scene is None else shared.scene_of(scene, changes, law)
+    described = None if scene is None else shared.scene_of(scene, changes, laws)
     from multicell.calibration.dose_response.analysis import (
         LIVING,
         of_table,

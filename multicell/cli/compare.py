@@ -65,7 +65,7 @@ _comparing = shared.grouped(
     "--clock",
     type=click.Choice(["cpu", "wall"]),
     default="cpu",
-    help="The time that judges: of the processors, or on the wall.",
+    help="Time that ranks the methods: CPU time or wall time.",
 )
 @click.option("--repeats", type=click.IntRange(min=1), default=3, help="Timed solves per point.")
 @click.option(

@@ -18,8 +18,8 @@ from multicell.cli.progress import display
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from multicell.calibration.fitting.fitted import Fit
     from multicell.calibration.fitting.plan import FitPlan
+    from multicell.calibration.fitting.result import Fit
     from multicell.scene.scene import Scene
 
 
@@ -39,12 +39,12 @@ if TYPE_CHECKING:
 @shared.valued(
     "--seeds",
     default=2,
-    help="Runs of each set of parameters in the search, with the same seeds for all.",
+    help="Runs for each set of parameters in the search; all sets use the same seeds.",
 )
 @shared.valued(
     "--repeats",
     default=12,
-    help="Runs with fresh seeds at the best point, from which intervals have the scatter of runs.",
+    help="Runs with fresh seeds at the best point; intervals take their scatter from these runs.",
 )
 @click.option("--budget", type=int, metavar="RUNS", help="Number of runs in all.")
 @shared.valued(
@@ -156,7 +156,7 @@ def profile_command(
 ) -> None:
     """Print the profile likelihood of each parameter of the fit in FOLDER: which are identified.
 
-    An end of an interval that the searched range does not hold is not bounded by the data.
+    Data do not bound an interval whose end is outside the searched range.
     """
     from multicell.calibration.fitting.stored import load_fit
     from multicell.calibration.shared.wording import value_in_words

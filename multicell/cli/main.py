@@ -106,7 +106,7 @@ _run_options = shared.grouped(
 @main.command("run")
 @click.argument("scene", **shared.offering(shared.known_scenes))
 @shared.output_option("Folder for the results; it must be empty or new.")
-@click.option("--seed", type=click.IntRange(min=0), help="Of the random numbers.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of the random number streams.")
 @click.option(
     "--cells",
     metavar="FILE",
@@ -122,13 +122,13 @@ def run_command(
     seed: int | None,
     cells: str | None,
     columns: str | None,
-    law: str | None,
+    laws: tuple[str, ...],
     changes: Sequence[str],
     integrator: str | None,
     **options: Any,
 ) -> None:
     """Run a SCENE and write frames, summary, pictures and a report to a folder."""
-    described = shared.scene_of(scene, shared.cells_change(cells, columns, changes), law)
+    described = shared.scene_of(scene, shared.cells_change(cells, columns, changes), laws)
     table = described.initial.cells
     if table is not None and table.said and not options["quiet"]:
         complain(table.said)
@@ -157,7 +157,7 @@ def resume_command(
     integrator: str | None,
     **options: Any,
 ) -> None:
-    """Resume the run in FOLDER from its last frame or from another one.
+    """Resume the run in FOLDER from its last frame or an earlier one.
 
     Without changes the result is bitwise identical to one longer run on the same machine. --set
     may change what can change during a run: duration, stop_cells, output and the medium.
@@ -181,8 +181,8 @@ def resume_command(
     metavar="NAME",
     default="csv",
     **shared.offering(shared.known_formats),
-    help="Of the files: csv or parquet tables, vtk for ParaView, anndata (.h5ad) for scverse, "
-    "netcdf, openvt, simularium, ro-crate for repositories.",
+    help="Format of the files: csv or parquet tables, vtk for ParaView, anndata (.h5ad) for "
+    "scverse, netcdf, openvt, simularium, ro-crate for repositories.",
 )
 @click.option(
     "--tables",
@@ -212,7 +212,7 @@ def export_command(
 @main.command()
 @shared.as_json_option
 def doctor(as_json: bool) -> None:
-    """Show what there is to run with: versions, cores, memory, cache, missing packages.
+    """Report the installation: versions, cores, memory, cache, missing packages.
 
     Include it when you report a problem.
     """
@@ -299,7 +299,7 @@ def _print_facts(console: Console, scene: str, facts: dict[str, Any]) -> None:
         shown = f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.4g}"
         numbers.append((entry["name"], shown, entry["unit"], entry["meaning"]))
     console.print()
-    console.print(filled_table(("", "part", "what it means"), parts))
+    console.print(filled_table(("", "part", "meaning"), parts))
     console.print()
     console.print(filled_table(("derived number", "value >", "unit", "meaning"), numbers))
     for note in facts["notes"]:

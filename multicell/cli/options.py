@@ -139,24 +139,28 @@ threads_option = click.option("--threads", type=click.IntRange(min=1), help="Num
 quiet_option = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 law_option = click.option(
     "--law",
+    "laws",
+    multiple=True,
     metavar="FILE:NAME",
     help="Law or network of your own, as mine.py:Cubic; parameters of a contact or growth law "
-    "follow as --set contact.KEY= or --set growth.parameters.KEY=.",
+    "follow as --set contact.KEY= or --set growth.parameters.KEY=. May be given several times.",
 )
 loaded_law_option = click.option(
     "--law",
+    multiple=True,
     metavar="FILE:NAME",
     expose_value=False,
-    callback=lambda _, __, spec: spec and name_law(spec),
-    help="Law or network of your own that the run was made with, as mine.py:Cubic.",
+    callback=lambda _, __, specs: name_laws(specs),
+    help="Law or network of your own that the run was made with, as mine.py:Cubic. May be given "
+    "several times.",
 )
 section_option = click.option(
-    "--section", "plane", metavar="PLANE", help="The plane that is cut: x, y, z, x=0 or z='12 um'."
+    "--section", "plane", metavar="PLANE", help="Plane of the section: x, y, z, x=0 or z='12 um'."
 )
 cut_option = click.option(
     "--cut",
     type=click.Choice(("none", "half", "quarter")),
-    help="What is cut away of the cells in space.  [default: quarter]",
+    help="Part of the cells in space that is cut away.  [default: quarter]",
 )
 
 
@@ -199,7 +203,7 @@ no_report_option = click.option(
 columns_option = click.option(
     "--columns",
     metavar="NAMES",
-    help="What the columns of a table are, as 'x=POSITION_X um, radius=R um, type=class', or a "
+    help="Meaning of the columns of a table, as 'x=POSITION_X um, radius=R um, type=class', or a "
     "TOML file with such a table.",
 )
 
@@ -207,7 +211,7 @@ columns_option = click.option(
 where_option = click.option(
     "--where",
     metavar="VALUES",
-    help="Rows of the data that are meant, as 'CellLine=983b, InitialCondition=5000, Day=3..7'.",
+    help="Rows of the data to use, as 'CellLine=983b, InitialCondition=5000, Day=3..7'.",
 )
 
 
@@ -262,10 +266,10 @@ def refuse_existing(path: Path, *, overwrite: bool) -> None:
         raise OutputError(f"'{path}' exists already: name another file (-o) or overwrite it")
 
 
-def scene_of(source: str, changes: Sequence[str], law: str | None = None) -> Scene:
+def scene_of(source: str, changes: Sequence[str], laws: Sequence[str] = ()) -> Scene:
     """Return the scene that SCENE, ``--law`` and ``--set`` describe."""
     parsed = parse_changes(changes)
-    named = {} if law is None else name_law(law)
+    named = name_laws(laws)
     from multicell.scene.bare import nested, note_written
     from multicell.scene.scene import load_scene
     from multicell.simulation.start_check import check_population
@@ -290,11 +294,27 @@ def of_scene(command: Callable[..., Any]) -> Callable[..., Any]:
     @law_option
     @changes_option
     @wraps(command)
-    def called(scene: str, law: str | None, changes: Sequence[str], **options: Any) -> Any:
-        return command(scene_of(scene, changes, law), **options)
+    def called(scene: str, laws: Sequence[str], changes: Sequence[str], **options: Any) -> Any:
+        return command(scene_of(scene, changes, laws), **options)
 
     decorated: Callable[..., Any] = called
     return decorated
+
+
+def name_laws(specs: Sequence[str]) -> dict[str, str]:
+    """Load laws and networks of the user's own; return the keys that take them, and their names.
+
+    Raises
+    ------
+    click.UsageError
+        If two laws are for the same key.
+    """
+    named: dict[str, str] = {}
+    for spec in specs:
+        for key, name in name_law(spec).items():
+            if named.setdefault(key, name) != name:
+                raise click.UsageError(f"--law names two laws for {key}: {named[key]} and {name}.")
+    return named
 
 
 def name_law(spec: str) -> dict[str, str]:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 def play(scene: Scene, keys: Sequence[str], port: int, no_browser: bool) -> None:
     """Open a page with sliders for keys of a SCENE, and the view of a run beside them.
 
-    The scene as it is runs at once. Each move of a slider begins another run in the background,
+    The unchanged scene runs at once. Each move of a slider begins another run in the background,
     with coarse cells where the scene allows that. The page is served to this machine alone, at an
     address with a secret; Ctrl-C ends all of it.
     """
@@ -45,9 +45,9 @@ def play(scene: Scene, keys: Sequence[str], port: int, no_browser: bool) -> None
     ranges = parse_ranges(texts, scene)
     check_ranges(scene, ranges)
     factor, note = _factor(scene)
-    law = click.get_current_context().params["law"]
+    laws = click.get_current_context().params["laws"]
     with Playground(
-        scene, ranges, factor, note, law, units=asked_units(texts, ranges)
+        scene, ranges, factor, note, laws, units=asked_units(texts, ranges)
     ) as playground:
         playground.begin()
 

@@ -51,7 +51,7 @@ class Playground:
     """The runs of a page, one at a time, in a folder that goes with it.
 
     - ``factor``: by which cells are wider than those of the scene; ``note`` is on that
-    - ``law``: FILE:NAME of a law of the user's own that the scene needs
+    - ``laws``: FILE:NAME of each law of the user's own that the scene needs
     - ``units``: key of a range -> unit of its labels, and how many base units that is
     """
 
@@ -61,13 +61,13 @@ class Playground:
         ranges: Sequence[Range],
         factor: float,
         note: str,
-        law: str | None = None,
+        laws: Sequence[str] = (),
         *,
         units: Mapping[str, tuple[str, float]] | None = None,
     ) -> None:
         self._units = units or {}
         self.scene, self.ranges, self.factor, self.note = scene, ranges, factor, note
-        self._law = [] if law is None else ["--law", law]
+        self._laws = [word for law in laws for word in ("--law", law)]
         self._folder = Path(tempfile.mkdtemp(prefix="multicell-play-"))
         self._worker: subprocess.Popen[bytes] | None = None
         self._labels: dict[int, str] = {}
@@ -165,7 +165,7 @@ class Playground:
                     str(file),
                     "-o",
                     place,
-                    *self._law,
+                    *self._laws,
                     "--no-report",
                     "--quiet",
                 ],

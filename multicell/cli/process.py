@@ -170,7 +170,7 @@ def exit_code(command: Callable[[], Any], as_json: bool) -> int:
 
 @contextmanager
 def _notes() -> Iterator[None]:
-    """Print what was read without a unit as a line, and nothing with ``--quiet``."""
+    """Print values that were read without a unit as a line, and nothing with ``--quiet``."""
     with warnings.catch_warnings():
         before = warnings.showwarning
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("name", required=False)
-@click.option("--full", is_flag=True, help="Print it with every key that it could have left out.")
+@click.option("--full", is_flag=True, help="Print all keys, those with default values included.")
 @shared.as_json_option
 def scenes(name: str | None, full: bool, as_json: bool) -> None:
     """List the built-in scenes, or print the one called NAME as TOML, with units and remarks."""
@@ -84,7 +84,7 @@ def init(name: str, output: Path | None, overwrite: bool, as_json: bool) -> None
 @click.command("coarsen")
 @shared.of_scene
 @shared.output_option("File to write.")
-@shared.valued("--factor", default=2.0, help="Of the cells' widths.")
+@shared.valued("--factor", default=2.0, help="Ratio of coarse to original cell widths.")
 @shared.overwrite_option("Replace the file.")
 @shared.as_json_option
 def coarsen_command(
@@ -128,10 +128,9 @@ def importing(
 ) -> None:
     """Make a scene of the model of another program: SETTINGS is PhysiCell_settings.xml.
 
-    What a scene can say is mapped, and account.md lists for each element of the file what became of
-    it: mapped, approximated (with how), left out (with why), or off because it has no effect in the
-    model either. Tables of cells and of rules that the settings name are read as well, C++ code is
-    not.
+    account.md lists the fate of each element of the file: mapped, approximated (and how), left out
+    (and why), or off, because it has no effect in the model either. Tables of cells and of rules
+    that the settings name are read as well, C++ code is not.
     """
     from multicell.importing.physicell.reader import import_physicell
 

@@ -44,7 +44,7 @@ def view_command(
     where: str | None,
     as_json: bool,
 ) -> None:
-    """Open the page of the run in FOLDER, also while it goes on: with all frames so far.
+    """Open the page of the run in FOLDER, also during the run, with all frames so far.
 
     The page is written anew unless it is younger than the results. A run that has no frame yet
     shows a picture of its cells that renews itself.
@@ -71,7 +71,7 @@ def view_command(
 
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path))
-@click.option("--bibtex", is_flag=True, help="The entries of what is cited, in place of the text.")
+@click.option("--bibtex", is_flag=True, help="Print BibTeX entries in place of the text.")
 @shared.loaded_law_option
 @shared.as_json_option
 def cite_command(folder: Path, bibtex: bool, as_json: bool) -> None:
@@ -102,25 +102,25 @@ def _up_to_date(page: Path, folder: Path) -> bool:
 @click.option(
     "--picture",
     type=click.Choice(list(PICTURES)),
-    help="One of those of the report.  [default: section]",
+    help="One of the report's pictures.  [default: section]",
 )
 @shared.section_option
 @click.option(
     "--colour",
     "--color",
     metavar="NAME",
-    help="Of the cells in a section or in space: state, type, phase, clone, doomed, a quantity "
-    "such as pressure, radius or age, or the name of a field.",
+    help="Colour of the cells in a section or in space: state, type, phase, clone, doomed, a "
+    "quantity such as pressure, radius or age, or the name of a field.",
 )
 @shared.cut_option
 @click.option(
-    "--turn", type=float, metavar="DEGREES", help="Where the eye stands round the cells in space."
+    "--turn", type=float, metavar="DEGREES", help="Viewing angle round the cells in space."
 )
 @click.option(
     "--time",
     "frame",
     metavar="TIME",
-    help="The frame nearest to it, as '6 d'; by default the last.",
+    help="Time of the frame, as '6 d' (the nearest one); by default the last.",
 )
 @click.option(
     "--quantity",
@@ -193,7 +193,7 @@ def _refuse_mixed(
 
 
 def _quantity(folders: Sequence[Path], runs: Sequence[Result], quantity: str) -> Figure:
-    """Return a quantity of all runs, named by as much of their folders as tells them apart."""
+    """Return a quantity of all runs, named by the parts of their paths that differ."""
     from multicell.report.plots.growth import overlay
 
     short = [folder.name or str(folder) for folder in folders]
@@ -207,7 +207,7 @@ def _quantity(folders: Sequence[Path], runs: Sequence[Result], quantity: str) ->
 @click.argument("folder", type=click.Path(path_type=Path))
 @shared.output_option("File for the movie: .gif, .webp, or .mp4 with multicell[movie].")
 @shared.section_option
-@click.option("--colour", "--color", metavar="NAME", help="Of the cells, as for plot.")
+@click.option("--colour", "--color", metavar="NAME", help="Colour of the cells, as for plot.")
 @shared.valued("--rate", default=8.0, help="Frames in a second, at most 60.")
 @click.option("--space", is_flag=True, help="Whole cells in space instead of a section.")
 @shared.cut_option
@@ -215,7 +215,7 @@ def _quantity(folders: Sequence[Path], runs: Sequence[Result], quantity: str) ->
     "--turn",
     type=float,
     metavar="DEGREES",
-    help="How far the eye swings round the cells in space.  [default: 90]",
+    help="Range of the viewing angle round the cells in space.  [default: 90]",
 )
 @click.option(
     "--transparent", is_flag=True, help="Without background: a .webp of cells in space only."

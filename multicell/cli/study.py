@@ -42,9 +42,12 @@ free_option = shared.keyed(
     "drag.viscosity='log 0.1:10 kPa s' (equal ratios count the same). May be given several times.",
 )
 yes_option = click.option(
-    "--yes", "-y", is_flag=True, help="Do not ask before what is expected to take over an hour."
+    "--yes",
+    "-y",
+    is_flag=True,
+    help="Start runs of more than an hour without asking.",
 )
-retry_option = click.option("--retry", is_flag=True, help="Try again what has failed.")
+retry_option = click.option("--retry", is_flag=True, help="Repeat failed runs.")
 _studied = shared.grouped(shared.loaded_law_option, shared.observable_option)
 _carrying_out = shared.grouped(
     cores_option,
@@ -95,7 +98,7 @@ def new(
 ) -> None:
     """Plan a study of a SCENE: write study.toml to a folder, and run nothing yet.
 
-    A folder that holds the same study, or a part of it, is widened: what has run stays.
+    A folder that holds the same study, or a part of it, is extended: finished runs stay.
     """
     from multicell.studies.study import study as planned
 
@@ -176,8 +179,8 @@ def _cost_words(cost: StudyCost, cores: int | None) -> str:
 def study_run_command(folder: Path, **how: Any) -> None:
     """Compute all runs of the study in FOLDER that are not done.
 
-    It may be stopped by anything, Ctrl-C or a kill, and started again: nothing is computed twice,
-    and runs that were begun continue from their last frame. A run that fails is reported with its
+    You can stop it at any time, by Ctrl-C or a kill, and start it again: nothing is computed twice,
+    and unfinished runs continue from their last frame. A run that fails is reported with its
     reason, and the others continue.
     """
     made = _open_study(folder)
@@ -241,7 +244,7 @@ def _terminal() -> bool:
 def carry_out_study(
     plan: Any, output: Path, carry_out: Callable[..., Any], how: Mapping[str, Any]
 ) -> Any:
-    """Do what runs of an analysis are left, and return what they show.
+    """Do the missing runs of an analysis, and return the result.
 
     - ``plan``: with the study to run
     - ``carry_out``: called with it, the folder, what says where runs go, and ``progress``
@@ -416,8 +419,8 @@ def report(
 ) -> None:
     """Write the report of the study in FOLDER: pictures, table, and all numbers as files.
 
-    That is report.html, study.nc (netCDF, for xarray) and study.csv. What has not run yet or has
-    failed is marked as such.
+    That is report.html, study.nc (netCDF, for xarray) and study.csv. Runs that are missing or
+    have failed are marked.
     """
     shared.refuse_without_data(data, columns, where)
     made = _open_study(folder)

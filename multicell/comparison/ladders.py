@@ -104,7 +104,7 @@ def select_methods(methods: Sequence[Any], scene: Scene, radius: float) -> list[
 
 
 def capable_methods(scene: Scene) -> list[str]:
-    """Return the names of all methods that can hold a scene, as far as its beginning tells."""
+    """Return the names of all methods that can run a scene, judged by its start."""
     cells, friction = scene.initial.count, scene.friction is not None
     return [name for name, m in METHODS.items() if m.refusal(cells, friction=friction) is None]
 

@@ -66,7 +66,7 @@ def climb(
     ladder: Sequence[float],
     exact: Reference,
     effort: Effort,
-    tell: Callable[[str], None],
+    note: Callable[[str], None],
 ) -> tuple[list[Row], list[TimedPoint], float]:
     """Return the rows of one method, from coarse to fine, until patience or budget end.
 
@@ -88,7 +88,7 @@ def climb(
             words = f"not tried: it would take about {foreseen:.2g} s, after {spent:.2g} s"
             rows.append(_row(method, setting, exact, SKIPPED, words=words))
             continue
-        tell(f"{method.name} at {setting:.3g}")
+        note(f"{method.name} at {setting:.3g}")
         solve = partial(replay, exact.problem, method.make(setting), effort.patience)
         found, lost = solve_compiled(solve)
         row = _solve_row(method, setting, found, exact, effort)

@@ -84,7 +84,7 @@ def reference(
 
     Raises StepFailed if one of the two cannot be computed.
     """
-    tell = progress or (lambda _: None)
+    note = progress or (lambda _: None)
     unsolved = unsolved_problem(scene, threads)
     shift = 0.0 if stepwise is None else shift
     recording = {"samples": stepwise, "threads": threads}
@@ -95,12 +95,12 @@ def reference(
             if stepwise is not None and sampled is None:
                 name, tolerance = _RECORDED
                 leading = find_method(name, scene, unsolved.mean_radius)
-                sampled = _record(unsolved, leading, tolerance, recording, tell)
-            return _solve(unsolved, chosen, sampled, shift, norms, recording, tell)
+                sampled = _record(unsolved, leading, tolerance, recording, note)
+            return _solve(unsolved, chosen, sampled, shift, norms, recording, note)
         except StepFailed as error:
             if k + 1 == len(pairs):
                 raise
-            tell(f"reference: {error}")
+            note(f"reference: {error}")
     raise AssertionError("there is always a pair")
 
 
@@ -159,24 +159,24 @@ def _solve(
     shift: float,
     norms: Mapping[str, Norm],
     recording: dict[str, Any],
-    tell: Callable[[str], None],
+    note: Callable[[str], None],
 ) -> Reference:
     """Solve by the first method and check by the second; without a sample record the run."""
     (method, setting), (checking, other) = pair
     if sampled is None:
-        problem, found = _record(unsolved, method, setting, recording, tell)
+        problem, found = _record(unsolved, method, setting, recording, note)
         wall = found.wall
     else:
         problem, run = sampled
-        found = _replay(problem, method, setting, "reference", tell)
+        found = _replay(problem, method, setting, "reference", note)
         wall = run.wall + found.wall
     observed = observe(problem, found)
-    check = _replay(problem, checking, other, "check of the reference", tell)
+    check = _replay(problem, checking, other, "check of the reference", note)
     uncertainty = errors(problem, observe(problem, check), observed, norms)
     conditioning = None
     if shift > 0.0:
         moved = shift_starts(problem, shift)
-        ends = _replay(moved, method, setting, f"reference after a shift of {shift:g} um", tell)
+        ends = _replay(moved, method, setting, f"reference after a shift of {shift:g} um", note)
         conditioning = conditioning_of(problem, shift, observe(problem, ends), observed, norms)
     text = f"{method.name} at {setting:g}, checked by {checking.name} at {other:g}"
     return Reference(problem, found, observed, uncertainty, wall, text, conditioning, norms)
@@ -187,27 +187,27 @@ def _record(
     method: Method,
     setting: float,
     recording: dict[str, Any],
-    tell: Callable[[str], None],
+    note: Callable[[str], None],
 ) -> tuple[ReplayProblem, Trajectory]:
     """Return the run, or a sample of it, by a method; report every tenth of it."""
     states = "" if recording["samples"] is None else "states by "
-    tell(f"reference: {states}{method.name} at {setting:g}")
+    note(f"reference: {states}{method.name} at {setting:g}")
     reported = 0
 
     def share(part: float) -> None:
         nonlocal reported
         if int(10.0 * part) > reported:
             reported = int(10.0 * part)
-            tell(f"reference: {10 * reported} % of the scene")
+            note(f"reference: {10 * reported} % of the scene")
 
     return record(unsolved.scene, method.make(setting), progress=share, **recording)
 
 
 def _replay(
-    problem: ReplayProblem, method: Method, setting: float, what: str, tell: Callable[[str], None]
+    problem: ReplayProblem, method: Method, setting: float, what: str, note: Callable[[str], None]
 ) -> Trajectory:
     """Return the solution by a method, which must succeed."""
-    tell(f"{what}: {method.name} at {setting:g}")
+    note(f"{what}: {method.name} at {setting:g}")
     found = replay(problem, method.make(setting))
     if not found.done:
         raise StepFailed(

@@ -18,9 +18,10 @@ from multicell.comparison.ladders import (
 from multicell.comparison.measure import Effort, TimedPoint, climb, time_again
 from multicell.comparison.measured import Measurements, named_only, open_measurements
 from multicell.comparison.norms import Metric, norms_with
+from multicell.comparison.numbers import COMPARISON_FILES, NUMBERS_FILE
 from multicell.comparison.record import sample_size
 from multicell.comparison.reference import Reference, method_pair, reference, unsolved_problem
-from multicell.comparison.result import COMPARISON_FILES, NUMBERS_FILE, WorkPrecision
+from multicell.comparison.result import WorkPrecision
 from multicell.comparison.styles import unregistered_styles
 from multicell.errors import SceneError
 from multicell.integrators.base import Integrator
@@ -127,7 +128,7 @@ def compare(
     moved = to_base(shift, "um", "shift")
     if moved < 0.0:
         raise SceneError("shift", f"is {shift!r}, must be 0 um or more")
-    tell = progress or (lambda _: None)
+    note = progress or (lambda _: None)
     norms = norms_with(metrics)
     radius = unsolved_problem(described, threads).mean_radius
     asked = capable_methods(described) if methods is None else methods
@@ -162,7 +163,7 @@ def compare(
             shift=moved,
             norms=norms,
             threads=threads,
-            progress=tell,
+            progress=note,
         )
         decay = stiffness(exact.problem, exact.trajectory)
         left = max(60.0, 10.0 * exact.wall) if budget is None else budget
@@ -171,11 +172,11 @@ def compare(
         for k, method in enumerate(chosen):
             rungs = settings(method, ladder, exact.problem, decay)
             effort = Effort(repeats, patience, left / (len(chosen) - k), len(rungs))
-            rows, timed, spent = _measure(method, rungs, exact, effort, measured, tell)
+            rows, timed, spent = _measure(method, rungs, exact, effort, measured, note)
             table += rows
             again += timed
             left -= spent
-        tell("timing again, all methods in turns")
+        note("timing again, all methods in turns")
         time_again(again, exact.problem, repeats)
         named = [] if methods is None else [method.name for method in chosen]
         facts = {**_facts(exact, decay), "looks": unregistered_styles(chosen), "named": named}
@@ -195,19 +196,19 @@ def _measure(
     exact: Reference,
     effort: Effort,
     measured: Measurements,
-    tell: Callable[[str], None],
+    note: Callable[[str], None],
 ) -> tuple[list[Row], list[TimedPoint], float]:
     """Do as :func:`climb`, from the folder where it was measured before."""
     known = measured.find(method)
     if known is not None:
-        tell(f"{method.name}: was measured before")
+        note(f"{method.name}: was measured before")
         rows = known["rows"]
         timed = [
             TimedPoint(rows[k], method, share, spent, [(wall, cpu) for wall, cpu in repeats])
             for k, share, spent, repeats in known["timed"]
         ]
         return rows, timed, known["spent"]
-    rows, timed, spent = climb(method, rungs, exact, effort, tell)
+    rows, timed, spent = climb(method, rungs, exact, effort, note)
     places = {id(row): k for k, row in enumerate(rows)}
     points = [(places[id(point.row)], point.share, point.spent, point.repeats) for point in timed]
     measured.add(method, rows=rows, timed=points, spent=spent)

@@ -22,13 +22,13 @@ tuples are flat, since numba's parallel loops take no others.
 
 from __future__ import annotations
 
-from collections import namedtuple
 from collections.abc import Callable
 from dataclasses import dataclass
 from inspect import signature
 from typing import Any, final
 
 from multicell.plugins.fingerprints import fingerprint
+from multicell.plugins.stand_ins import stand_in_types
 
 Function = Callable[..., Any]
 
@@ -43,7 +43,9 @@ SHARED = ("adhesion_constant", "bond_strength", "medium_drag")
 of receptors in nN/µm² (None without any), and 6πη in kPa s."""
 
 
-_TYPES: dict[str, Any] = {}
+_type, __getattr__ = stand_in_types(
+    __name__, "Constants_", lambda name: [*name.split("__")[1:], *SHARED], (0.0, None, 0.0)
+)
 _FUNCTIONS: dict[Any, LawFunction] = {}
 
 
@@ -99,20 +101,3 @@ def further_arguments(function: Function) -> tuple[str, ...]:
 def function_of(constants: Any) -> LawFunction:
     """Return the function of a law from its constants or their type."""
     return _FUNCTIONS[constants if isinstance(constants, type) else type(constants)]
-
-
-def _type(name: str) -> Any:
-    """Return the type of constants with a name, always the same one."""
-    if name not in _TYPES:
-        fields = [*name.split("__")[1:], *SHARED]
-        made = namedtuple(name, fields, defaults=(0.0, None, 0.0))  # type: ignore[misc]
-        made.__module__ = __name__
-        _TYPES[name] = made
-    return _TYPES[name]
-
-
-def __getattr__(name: str) -> Any:
-    """Return a type of constants: the index of compiled code on disk asks by name for them all."""
-    if name.startswith("Constants_"):
-        return _type(name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

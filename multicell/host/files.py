@@ -9,6 +9,8 @@ import stat
 from pathlib import Path
 from typing import Any, Final
 
+from multicell.errors import SceneError
+
 DEEPEST: Final = 20  # parts of a dotted key of TOML; those of a scene have at most seven
 
 _NAME: Final = (
@@ -55,6 +57,19 @@ def read_text(path: Path, largest: int) -> str:
     r"""Return the text of a regular file, its lines ending in ``\n``, as :func:`read_regular`."""
     text = read_regular(path, largest).decode("utf-8-sig")
     return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def read_text_of_others(path: Path, largest: int) -> str:
+    """Return the text of a file as :func:`read_text`; SceneError with its name where it cannot."""
+    name = str(path)
+    try:
+        return read_text(path, largest)
+    except FileNotFoundError:
+        raise SceneError("", f"there is no file '{name}'") from None
+    except UnicodeDecodeError as error:
+        raise SceneError("", f"'{name}' is not UTF-8 text (byte {error.start})") from None
+    except OSError as error:
+        raise SceneError("", f"'{name}' cannot be read: {error.strerror}") from None
 
 
 def parse_toml(text: str) -> dict[str, Any]:

@@ -166,7 +166,7 @@ def watch_command() -> None:
             sys.__unraisablehook__(found)
 
     def uncaught(kind: type[BaseException], error: BaseException, trace: Any) -> None:
-        if not issubclass(kind, KeyboardInterrupt):  # that is raised again, and told in one word
+        if not issubclass(kind, KeyboardInterrupt):  # raised again, and reported in one word
             sys.__excepthook__(kind, error, trace)
 
     signal.signal(signal.SIGINT, press)

@@ -1,4 +1,4 @@
-"""Keep the folder that a process is in from deciding what it does.
+"""Keep the working folder from changing the behaviour of a process.
 
 numba and matplotlib read settings from files of the working folder: a folder that one enters could
 name a cache with code of others, or other pictures. What the user sets by environment variables and

@@ -1,8 +1,6 @@
 """Read files of other programs: CSV and XML, regular ones of a reasonable size.
 
-XML becomes a tree whose elements know their line; nothing is expanded, fetched or executed. It is
-read by Python's ``expat`` with what can do harm refused: a document type, with which entities come
-that grow without bound or name files, and anything that is large or deep beyond any use.
+XML becomes a tree whose elements know their line; it is read by :mod:`multicell.host.xml`.
 """
 
 from __future__ import annotations
@@ -13,32 +11,19 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import final
-from xml.parsers import expat
 
 from multicell.errors import SceneError
-from multicell.host import files
+from multicell.host.files import read_text_of_others
+from multicell.host.xml import parse_xml
 from multicell.schema import Bounds
 
 _MAX_BYTES = 100_000_000  # of a file: it bounds memory and time of reading
 
 
-def read_imported_text(path: Path) -> str:
-    """Return the text of a file."""
-    name = str(path)
-    try:
-        return files.read_text(path, _MAX_BYTES)
-    except FileNotFoundError:
-        raise SceneError("", f"there is no file '{name}'") from None
-    except UnicodeDecodeError as error:
-        raise SceneError("", f"'{name}' is not UTF-8 text (byte {error.start})") from None
-    except OSError as error:
-        raise SceneError("", f"'{name}' cannot be read: {error.strerror}") from None
-
-
 def read_rows(path: Path) -> list[tuple[int, list[str]]]:
     """Return the rows of a CSV file that hold something, each with the number of its line."""
     rows = []
-    for number, line in enumerate(read_imported_text(path).split("\n"), start=1):
+    for number, line in enumerate(read_text_of_others(path, _MAX_BYTES).split("\n"), start=1):
         try:
             row = [word.strip() for word in next(csv.reader([line]), [])]
         except csv.Error as error:
@@ -171,16 +156,10 @@ class Element:
 
 def read_xml(path: Path) -> Element:
     """Return the root element of an XML file."""
-    parser, elements, above = expat.ParserCreate(), list[Element](), list[Element]()
+    elements, above = list[Element](), list[Element]()
     pieces: list[list[str]] = []  # of the texts of elements that are open
 
-    def refuse(problem: str, hint: str = "") -> SceneError:
-        return SceneError(f"{path.name}, line {parser.CurrentLineNumber}", problem, hint)
-
-    def begin(tag: str, attributes: dict[str, str]) -> None:
-        if len(above) >= _MAX_DEPTH or len(elements) >= _MAX_ELEMENTS:
-            raise refuse("is nested too deeply, or too large")
-        line = parser.CurrentLineNumber
+    def begin(tag: str, attributes: dict[str, str], line: int) -> None:
         made = Element(tag, attributes, path.name, line, above[-1] if above else None)
         elements.append(made)
         if above:
@@ -188,24 +167,14 @@ def read_xml(path: Path) -> Element:
         above.append(made)
         pieces.append([])
 
-    def end(_: str) -> None:
+    def end() -> None:
         above.pop().text = "".join(pieces.pop())
 
-    def text(characters: str) -> None:
-        pieces[-1].append(characters)
+    def characters(text: str) -> None:
+        pieces[-1].append(text)
 
-    def document_type(*_: object) -> None:
-        hint = "Entities may name files or grow without bound; remove <!DOCTYPE …>."
-        raise refuse("has a document type, which is not read", hint)
-
-    parser.buffer_text = True
-    parser.StartElementHandler, parser.EndElementHandler = begin, end
-    parser.CharacterDataHandler, parser.StartDoctypeDeclHandler = text, document_type
-    try:
-        parser.Parse(read_imported_text(path), True)
-    except expat.ExpatError as error:
-        problem = f"is not well-formed XML: {expat.errors.messages[error.code]}"
-        raise SceneError(f"{path.name}, line {error.lineno}", problem) from None
+    text = read_text_of_others(path, _MAX_BYTES)
+    parse_xml(text, path.name, begin, end, characters, levels=_MAX_DEPTH, elements=_MAX_ELEMENTS)
     return elements[0]
 
 

@@ -223,11 +223,11 @@ class MethodInfo:
 
     @property
     def settings(self) -> set[str]:
-        """Names of what the method is made with."""
+        """Names of the method's settings."""
         return set() if self.make is None else set(inspect.signature(self.make).parameters)
 
     def refusal(self, cells: int, *, friction: bool) -> tuple[str, str] | None:
-        """Return why it cannot hold a scene, and what to try, or None if it can."""
+        """Return why the method cannot run a scene, and a hint, or None if it can."""
         if friction and not self.friction:
             return (
                 f"is {self.name!r}, which needs the Jacobian as a sparse matrix; friction between "

@@ -1,1 +1,1 @@
-"""Measured data of runs: tables with units, what they hold, and how far a run is from them."""
+"""Measured data of runs: tables with units, their columns, and the distance of a run from them."""

@@ -1,4 +1,4 @@
-"""Errors and scatter of data: what is known, and what data have in common.
+"""Errors and scatter of data, own and shared.
 
 Data less the mean of runs have, in units of their σ, the covariance
 

@@ -1,4 +1,4 @@
-"""Columns of ``rows``, (n, 5) or (n, 7): what kernels read of each cell in one run of memory.
+"""Columns of ``rows``, (n, 5) or (n, 7): data of each cell for kernels, contiguous in memory.
 
 The first three are the position, µm, by axis: ``rows[:, 0]`` to ``rows[:, 2]``.
 """

@@ -74,7 +74,7 @@ class Linearisation:
 
 
 Kernels = tuple[forces.CellData, Any, FloatArray, float, FloatArray]
-"""What kernels take of a system besides pairs: cells, law, reach of the list, margin, rows."""
+"""Arguments of kernels besides pairs: cells, law, reach of the list, margin, rows."""
 
 
 @final
@@ -505,7 +505,7 @@ class Mechanics:
             )
 
     def _placed(self, time: float, position: FloatArray) -> FloatArray:
-        """Return where the cells are: those whose motion is prescribed have gone on."""
+        """Return the positions of the cells, those with prescribed motion advanced."""
         return position if self.prescribed is None else self.prescribed.placed(time, position)
 
     def at_end(self, position: FloatArray) -> FloatArray:

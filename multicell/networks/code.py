@@ -9,7 +9,6 @@ type has no values: it takes no place among the arguments of the call.
 
 from __future__ import annotations
 
-from collections import namedtuple
 from collections.abc import Callable
 from typing import Any, NamedTuple, final
 
@@ -22,9 +21,10 @@ from multicell.compiling import ADDRESSED, address_of
 from multicell.errors import SceneError
 from multicell.networks.network import Network
 from multicell.plugins.fingerprints import fingerprint, helpers_of
+from multicell.plugins.stand_ins import stand_in_types
 
 _FUNCTIONS: dict[str, Callable[..., Any]] = {}
-_TYPES: dict[str, Any] = {}
+_type, __getattr__ = stand_in_types(__name__, "Network_", lambda name: ())
 
 
 @final
@@ -176,19 +176,3 @@ def _stand_in(function: Callable[..., Any]) -> Any:
     name = f"Network_{fingerprint(function, modules=True)}"
     _FUNCTIONS.setdefault(name, function)
     return _type(name)()
-
-
-def _type(name: str) -> Any:
-    """Return the type with a name, always the same one."""
-    if name not in _TYPES:
-        made = namedtuple(name, ())  # type: ignore[misc]
-        made.__module__ = __name__
-        _TYPES[name] = made
-    return _TYPES[name]
-
-
-def __getattr__(name: str) -> Any:
-    """Return a type: the index of compiled code on disk asks by name for all of them."""
-    if name.startswith("Network_"):
-        return _type(name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

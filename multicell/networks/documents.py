@@ -2,9 +2,8 @@
 
 Libraries convert what they read, and lose on the way what they do not know. So the document is
 searched as text for what would change its meaning: fast reactions, delays, algebraic rules,
-priorities, models made of others, and packages that it cannot be understood without. It is read by
-Python's ``expat``, which neither follows nor expands anything, and what is large or deep beyond any
-use is refused: libraries recurse.
+priorities, models made of others, and packages that it cannot be understood without. What is large
+or deep beyond any use is refused as well: libraries recurse.
 """
 
 from __future__ import annotations
@@ -13,10 +12,10 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, final
-from xml.parsers import expat
 
 from multicell.errors import SceneError
-from multicell.host import files
+from multicell.host.files import read_text_of_others
+from multicell.host.xml import parse_xml
 
 MAX_DOCUMENT: Final = 20_000_000  # the largest curated model of BioModels has half of it
 _MAX_DEPTH: Final = 200  # elements in elements; annotations have up to 20, formulas 50
@@ -44,15 +43,7 @@ _REASONS: Final = {
 
 def read_network_document(path: Path) -> str:
     """Return the text of a file of networks; SceneError with its name where it cannot be read."""
-    name = str(path)
-    try:
-        return files.read_text(path, MAX_DOCUMENT)
-    except FileNotFoundError:
-        raise SceneError("", f"there is no file '{name}'") from None
-    except UnicodeDecodeError as error:
-        raise SceneError("", f"'{name}' is not UTF-8 text (byte {error.start})") from None
-    except OSError as error:
-        raise SceneError("", f"'{name}' cannot be read: {error.strerror}") from None
+    return read_text_of_others(path, MAX_DOCUMENT)
 
 
 @final
@@ -70,7 +61,6 @@ class _Search:
     above: list[str] = field(default_factory=list)
     lacking: dict[str, tuple[int, str]] = field(default_factory=dict)
     packages: dict[str, int] = field(default_factory=dict)
-    elements: int = 0
     quantities: int = 0
     hidden: int = 0
     line: int = 0
@@ -83,10 +73,8 @@ class _Search:
     def note(self, what: str, who: str = "") -> None:
         self.lacking.setdefault(what, (self.line, who[:80]))
 
-    def begin(self, tag: str, about: dict[str, str]) -> None:
-        self.elements += 1
-        if len(self.above) >= _MAX_DEPTH or self.elements > _MAX_ELEMENTS:
-            raise self.refuse("is nested too deeply, or too large")
+    def begin(self, tag: str, about: dict[str, str], line: int) -> None:
+        self.line = line
         space, _, local = tag.rpartition(" ")
         if not self.above:
             self._root(space, local, about)
@@ -160,25 +148,17 @@ def check_document(text: str, name: str) -> None:
 
     Raises SceneError with file and line.
     """
-    parser, search = expat.ParserCreate(namespace_separator=" "), _Search(name)
-
-    def begin(tag: str, about: dict[str, str]) -> None:
-        search.line = parser.CurrentLineNumber
-        search.begin(tag, about)
-
-    def document_type(*_: object) -> None:
-        search.line = parser.CurrentLineNumber
-        hint = "Entities may name files or grow without bound; remove <!DOCTYPE …>."
-        raise search.refuse("has a document type, which is not read", hint)
-
-    parser.StartElementHandler, parser.EndElementHandler = begin, lambda _: search.end()
-    parser.StartDoctypeDeclHandler = document_type
-    parser.CharacterDataHandler = search.text
-    try:
-        parser.Parse(text, True)
-    except expat.ExpatError as error:
-        problem = f"is not well-formed XML: {expat.errors.messages[error.code]}"
-        raise SceneError(f"{name}, line {error.lineno}", problem) from None
+    search = _Search(name)
+    parse_xml(
+        text,
+        name,
+        search.begin,
+        search.end,
+        search.text,
+        levels=_MAX_DEPTH,
+        elements=_MAX_ELEMENTS,
+        separator=" ",
+    )
     _refuse_lacking(search)
 
 

@@ -1,4 +1,4 @@
-"""Events of networks: when they fire, and what they do, in the middle of a step of one cell."""
+"""Events of networks, located and carried out within a step of one cell."""
 
 from __future__ import annotations
 

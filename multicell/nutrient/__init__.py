@@ -1,4 +1,4 @@
-"""Fields of nutrients and signals: what cells take up and secrete, grids, solvers, balance.
+"""Fields of nutrients and signals: uptake, secretion, grids, solvers, balance.
 
 Every run with a field loads py-pde, which imports ``scipy.integrate``, ``optimize`` and ``sparse``
 for grids that no field here lives on. They take three quarters of its time, so they are loaded when

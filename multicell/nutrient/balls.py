@@ -415,7 +415,7 @@ def gather(
 def gathered(
     box: Box, position: FloatArray, values: FloatArray, radius: FloatArray | None = None
 ) -> tuple[FloatArray, bool]:
-    """Do the same; tell also whether any cell reads between the last nodes and faces or beyond."""
+    """Do the same; return also whether any cell is beyond the last nodes."""
     points, grid, balls = _placed(box, position, radius)
     if values.shape != box.shape:
         raise ValueError(f"values has shape {values.shape}, expected {box.shape}")

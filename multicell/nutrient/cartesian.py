@@ -81,7 +81,7 @@ def lay(low: FloatArray, high: FloatArray, spacing: float, height: float | None 
     The faces across the longest axis lie exactly there, and so do those across axes nearly as
     long: the layer of medium between cells and faces is as thick as the margin at every moment.
     (A box that grew in steps would make supply, and with it the states of the cells, jump.) So
-    it is the spacing that gives way: it is at most ``spacing``, and the number of nodes along
+    the spacing is adapted: it is at most ``spacing``, and the number of nodes along
     an axis has only small factors, where the sine transform is fast.
     """
     axes = 3 if height is None else 2

@@ -20,7 +20,7 @@ from multicell.cells import Cells, FloatArray, State, rows_before
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.balance import FieldExchange, Ledger
 from multicell.nutrient.tissue import Tissue
-from multicell.results.observables import viable_volume
+from multicell.population.extents import viable_volume
 from multicell.scene.dependences import circles, followed, solving_order
 
 if TYPE_CHECKING:
@@ -234,7 +234,7 @@ class FieldSystem:
 
     def _rests(self, name: str) -> bool:
         """Return whether a field is solved as steady, and not marched with a finite medium."""
-        # a steady field in a finite medium goes on with what that holds
+        # a steady field in a finite medium continues with its content
         group = next(group for group in self.groups if name in group.names)
         finite = any(self._nutrients[other].finite_medium is not None for other in group.names)
         return self.fields[name].parameters.regime == "steady" and not finite
@@ -313,7 +313,7 @@ class FieldSystem:
         time: float,
         nodes: FloatArray,
     ) -> None:
-        """Note what cells find of a group's fields on the way, whose values are given."""
+        """Note the concentrations of a group's fields on the way, from given values."""
         layout, found = group.layout, []
         for values, field in zip(nodes, group.fields.values(), strict=True):
             conditions = field.parameters.conditions(layout, field.level(time))
@@ -375,7 +375,7 @@ class FieldSystem:
         }
 
     def give_back(self, cells: Cells, after: Cells, late: FloatArray) -> None:
-        """Give transient fields back what cells have taken up after they died or came to rest.
+        """Give transient fields back the uptake of cells after their death or quiescence.
 
         - ``cells``, ``after``: before and after that
         - ``late``, (n,) s: how long before the end of the last step it was; zero of others

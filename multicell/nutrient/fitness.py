@@ -146,7 +146,7 @@ def discretisation_error(
 def _own_error(
     parameters: FieldParameters, spacing: float, radius: FloatArray, made: FloatArray
 ) -> float:
-    """Return the largest error of what cells find of their own, mM: ``made``, (n,) amol/s.
+    """Return the largest error of the cells' own concentrations, mM: ``made``, (n,) amol/s.
 
     Hat functions widen a ball along each axis by h²/6 of its second moment, so that it acts as one
     of the radius (r² + 5 h²/6)^(1/2), whose mean potential is 6/5 over that; a disc as one of the

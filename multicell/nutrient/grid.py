@@ -264,7 +264,7 @@ class ShellLayout:
         spacing: float,
         layer: float | None = None,
     ) -> ShellLayout:
-        """Lay it ``margin`` or more beyond the outermost cell; ``spacing`` gives way.
+        """Lay it ``margin`` or more beyond the outermost cell; ``spacing`` is adapted.
 
         Its surface is that of the ball which lets as much through to its middle as the cube
         that would be laid round the same cells: how a tissue is fed does not depend on the
@@ -287,7 +287,7 @@ class ShellLayout:
 
     @classmethod
     def to(cls, centre: FloatArray, outer: float, spacing: float) -> ShellLayout:
-        """Lay it round a centre with a surface at a distance; ``spacing`` gives way."""
+        """Lay it round a centre with a surface at a distance; ``spacing`` is adapted."""
         count = int(np.ceil(outer / spacing * (1.0 - 1e-12)))
         if count > 1_000_000:
             raise NutrientFailed(

@@ -260,7 +260,7 @@ def _axis(n: int, low: bool, high: bool) -> tuple[_Axis, ...]:
     That is its :func:`_along`, the nodes' widths over those of the ones of the next level that they
     lie in, (n,), and :func:`_between`.
 
-    ``low`` and ``high`` tell whether a face at its ends has a value; others let nothing through. A
+    ``low`` and ``high`` state whether a face at its ends has a value; others let nothing through. A
     grid that follows the cells asks for it again.
     """
     width, found = np.ones(n), []

@@ -29,7 +29,7 @@ def rate(most: Any, c: Any, half: Any) -> Any:
 def uptake_and_slope(most: Any, c: Any, half: Any) -> Any:
     """Return the uptake and its derivative V K / (K + c)², for any ``c``.
 
-    Below zero, where only intermediate iterates can be, uptake goes on along its tangent at zero.
+    Below zero, where only intermediate iterates can be, uptake continues along its tangent at zero.
     """
     kept = 0.5 * (c + abs(c))  # the larger of c and 0, of numbers and of arrays
     share = half / (half + kept)
@@ -41,7 +41,7 @@ def uptake_and_slope(most: Any, c: Any, half: Any) -> Any:
 def balanced(gain: Any, loss: Any, most: Any, half: Any) -> Any:
     """Return the c at which ``loss`` c + V c / (K + c) is ``gain``.
 
-    - ``gain``, float: in the unit of V; below zero uptake goes on along its tangent
+    - ``gain``, float: in the unit of V; below zero uptake continues along its tangent
     - ``loss``, float: in the unit of V over mM, above zero
     - ``most``, ``half``, float: V and K
     """

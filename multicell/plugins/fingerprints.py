@@ -6,6 +6,7 @@ Compiled code is kept on disk under them, and scenes and results name laws by th
 from __future__ import annotations
 
 import hashlib
+import inspect
 import re
 from collections.abc import Callable, Iterator
 from types import CodeType, FunctionType, ModuleType
@@ -13,6 +14,9 @@ from typing import Any
 
 _UNCHANGING = ("cmath", "math", "numba", "numpy")
 """Modules that numba compiles by itself: with another version of them it compiles anew."""
+
+_ANY_NUMBER = inspect.CO_VARARGS | inspect.CO_VARKEYWORDS
+"""Flags of code that takes any number of arguments."""
 
 
 def fingerprint(function: Callable[..., Any], *, modules: bool = False) -> str:
@@ -60,6 +64,7 @@ def _walk(function: Any, seen: set[int], modules: bool) -> Iterator[bytes]:
 
 
 def _code(code: CodeType) -> Iterator[bytes]:
+    yield repr((code.co_argcount, code.co_kwonlyargcount, code.co_flags & _ANY_NUMBER)).encode()
     yield code.co_code
     yield repr(code.co_names).encode()
     for constant in code.co_consts[1:] if code.co_consts else ():  # the first is the docstring

@@ -18,10 +18,10 @@ import numpy as np
 
 from multicell.cells import State
 from multicell.errors import OutputError
+from multicell.population.extents import centre
 from multicell.report.colours import STATE_COLOURS, TYPE_COLOURS
 from multicell.report.wording import cell_count, time_unit
 from multicell.results.folder import LIVE, file_errors, remove, write_bytes, write_text
-from multicell.results.observables import centre
 from multicell.results.tables import NAMED
 
 if TYPE_CHECKING:

@@ -107,7 +107,7 @@ def write_csv_files(run: Result, frames: Frames, folder: Path, tables: Sequence[
             for k, part in enumerate(TABLES[table](run, frames())):
                 if k == 0:
                     writer.writerow(part)
-                # Python's numbers are written with all digits that tell them apart
+                # Python's numbers are written with all digits that distinguish them
                 columns = [np.where(_missing(c), "", c.astype(object)) for c in part.values()]
                 writer.writerows(zip(*(column.tolist() for column in columns), strict=True))
     return names
@@ -119,7 +119,7 @@ def write_parquet(run: Result, frames: Frames, folder: Path, tables: Sequence[st
     import pyarrow.parquet
 
     def array(values: NDArray[Any]) -> Any:
-        # words stand in arrays of objects, and an empty one of them does not tell what it holds
+        # words stand in arrays of objects, and an empty one of them does not show its type
         kind = arrow.string() if values.dtype.kind in "OU" else None
         return arrow.array(values, type=kind, mask=_missing(values))
 

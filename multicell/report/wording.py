@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from multicell.results.measures import OBSERVABLES
 from multicell.results.quantities import entry, title_of, unit_of
-from multicell.scene.parts import own_names
+from multicell.scene.own_units import own_names
 
 
 class TimeUnit(NamedTuple):

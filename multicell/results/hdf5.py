@@ -46,7 +46,7 @@ class Sink(io.RawIOBase):
     """A file for HDF5 whose writes never fail: the first refusal is kept for :meth:`check`.
 
     HDF5 keeps a file open that it cannot write, complains at the end of the process, and may
-    crash there. So it is told that all went well. It writes a small file in hundreds of pieces,
+    crash there. So the answer is that all went well. It writes a small file in hundreds of pieces,
     which are collected in memory up to :data:`_BATCH` bytes.
     """
 
@@ -57,7 +57,7 @@ class Sink(io.RawIOBase):
         self._trouble: BaseException | None = None
 
     def check(self) -> None:
-        """Raise what a write was refused with."""
+        """Raise the error of a refused write."""
         if self._trouble is not None:
             raise self._trouble
 
@@ -354,7 +354,7 @@ def _unmarked(path: Path) -> bytes | None:
     """Return the bytes of a file that HDF5 takes for one that is being written, without its marks.
 
     A program that has the file open for writing, or was killed then, leaves them; HDF5 refuses such
-    a file, whole as it may be. Checksums tell whether it is. None where there are no marks.
+    a file, whole as it may be. Checksums show whether it is. None where there are no marks.
     """
     with file_errors("read", path), path.open("rb") as file:
         head = file.read(_SUPERBLOCK)

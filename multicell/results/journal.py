@@ -64,7 +64,7 @@ def array_digest(arrays: Arrays) -> int:
 @final
 @dataclass(frozen=True)
 class Record:
-    """A complete record: what it says of itself, and where its arrays are."""
+    """A complete record: its header, and the places of its arrays."""
 
     header: Mapping[str, Any]
     begin: int

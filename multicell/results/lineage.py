@@ -37,7 +37,7 @@ class _Rows:
         """Return rows with further ones from ``begin`` to ``end``; what lies before stays."""
         room = len(self.columns["id"])
         rows = self
-        if end > room or begin != self.filled:  # others have gone on from here already
+        if end > room or begin != self.filled:  # others have continued from here already
             rows = self.separate(begin, max(end, 3 * room // 2))
         for column, found in zip(rows.columns.values(), values, strict=True):
             column[begin:end] = found

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from multicell.cells import Phase, State
 from multicell.results import observables as of
 from multicell.results.observable import Observable, TissueState, find_own
-from multicell.results.observables import counts_contacts
+from multicell.scene.dependences import counts_contacts
 from multicell.scene.domain import walls
 from multicell.scene.networks import network_states
 from multicell.scene.oxygen import hypoxia_of

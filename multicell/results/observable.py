@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from multicell.cells import Cells, FloatArray, IntArray, State
 from multicell.errors import SceneError
-from multicell.results.observables import Extent, touching
+from multicell.population.extents import Extent
+from multicell.results.observables import touching
 
 if TYPE_CHECKING:
     from multicell.results.frame import Frame

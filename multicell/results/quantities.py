@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from multicell.results.measures import OBSERVABLES
 from multicell.results.observable import OWN_OBSERVABLES
-from multicell.scene.parts import own_units
+from multicell.scene.own_units import own_units
 
 _AMOUNTS: Final = (
     "relaid",

@@ -34,7 +34,7 @@ All is compressed by filters that every HDF5 has (shuffle, gzip). A frame is com
 checksum whenever it is read.
 
 It is an ordinary file without links to others: h5py, pandas and xarray open it, and a copy of it is
-complete. The attributes ``identity`` and ``absorbed`` tell it and its journals apart, ``digest``
+complete. The attributes ``identity`` and ``absorbed`` distinguish it from its journals, ``digest``
 (of the file and of the history) are the checksums of what belongs to no single frame.
 """
 

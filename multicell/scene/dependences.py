@@ -1,10 +1,11 @@
-"""Dependences of a scene's fields on each other, and the order in which they are solved."""
+"""Dependences of a scene's parts: order of its fields, gradients, contacts that are counted."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from multicell.behaviours.catalogue import needs_contacts
 from multicell.errors import SceneError
 from multicell.scene.reactions import group_of
 
@@ -87,3 +88,13 @@ def _needs(
         if what in ("uptake", "secretion") and name in needs:
             needs[name] += [signal for signal in part.signals if signal in nutrients]
     return needs
+
+
+def counts_contacts(scene: Scene) -> bool:
+    """Return whether anything asks for the pairs in contact; to find them costs a little."""
+    if scene.contact.remembers or len(scene.types) > 1 or scene.pull is not None:
+        return True
+    named = {name for part in scene.responses.values() for name in part.signals}
+    named |= {name for part in scene.networks.values() for name in (part.inputs or {}).values()}
+    named |= set() if scene.growth is None else scene.growth.signals
+    return any(map(needs_contacts, named))

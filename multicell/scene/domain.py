@@ -141,7 +141,7 @@ def check_inside(domain: Domain | None, ids: IntArray, position: FloatArray, tim
 def strayed(domain: Domain, position: FloatArray) -> tuple[int, str] | None:
     """Return the first cell whose centre is not in the domain, and beyond which side it is.
 
-    - ``domain``: a centre on a side is inside; a gel gives way to all
+    - ``domain``: a centre on a side is inside; a gel yields to all
     - ``position``, (n, 3), µm
     """
     if domain.stiffness is not None:

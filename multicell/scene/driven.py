@@ -44,7 +44,7 @@ class PrescribedMotion:
     begin: float = quantity("s", default=0.0, at_least=0, doc="when it begins to act")
     end: float | None = quantity("s", default=None, above=0, doc="when it ends; absent: never")
     velocity: tuple[float, float, float] = vector(
-        "um/s", default=(0.0, 0.0, 0.0), doc="of each cell; zero: held"
+        "um/s", default=(0.0, 0.0, 0.0), doc="of each cell; zero: fixed"
     )
 
     def check(self) -> None:

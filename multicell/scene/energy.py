@@ -1,4 +1,4 @@
-"""ATP that cells make from what they take up, and what they do where they make too little."""
+"""ATP made from the fields that cells take up, and states of cells that make too little."""
 
 from __future__ import annotations
 

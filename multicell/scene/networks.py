@@ -55,7 +55,7 @@ class CellNetwork:
     """A network of reactions inside each cell of some types."""
 
     file: str | None = text(
-        default=None, doc="of SBML or Antimony; relative paths count from the folder of the scene"
+        default=None, doc="SBML or Antimony file; relative paths count from the folder of the scene"
     )
     sha256: str | None = text(default=None, doc="digest of the file; absent: that which it has")
     network: str | None = text(
@@ -64,7 +64,7 @@ class CellNetwork:
     cells: str | None = text(default=None, doc="types, separated by commas; absent: all cells")
     inputs: Mapping[str, str] | None = texts(doc="input of the network -> signal of the cell")
     start: str = choice(["given", "steady"], default="given", doc="as stated, or at rest")
-    units: Mapping[str, str] | None = texts(doc="of what the network leaves open")
+    units: Mapping[str, str] | None = texts(doc="of quantities whose unit the network leaves open")
     scales: Mapping[str, float] | None = quantities(
         "",
         above=0,
@@ -75,7 +75,7 @@ class CellNetwork:
         "s", default=None, above=0, doc="of the network's time, where it states none; absent: 1 s"
     )
     parameters: Mapping[str, float | Draw] | None = drawn_numbers(
-        doc="in place of the network's own, in its unit: a value, or what each cell draws"
+        doc="in place of the network's own, in its unit: a value, or a draw for each cell"
     )
     fluxes: Mapping[str, str] | None = texts(
         doc="field -> 'uptake: NAME' or 'secretion: NAME', a rate of the network"

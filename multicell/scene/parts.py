@@ -198,7 +198,8 @@ class Growth:
         "S, G2 and M; absent: no such observable",
     )
     restriction: bool = flag(
-        default=True, doc="with phases: cells rest only at the end of G1 (in G0), not anywhere"
+        default=True,
+        doc="with phases: cells become quiescent only at the end of G1 (in G0)",
     )
     hypertrophy: bool = flag(
         default=True,
@@ -379,19 +380,6 @@ class OwnObservable:
     unit: str = text(default="", doc="base unit of its numbers; absent: they are counts or ratios")
 
 
-_OWN_UNITS: dict[str, set[str]] = {}
-
-
-def own_units(name: str) -> set[str]:
-    """Return the units that scenes of this process state for an observable of the user's own."""
-    return set(_OWN_UNITS.get(name, ()))
-
-
-def own_names() -> list[str]:
-    """Return the observables of the user's own that scenes have named in this process."""
-    return list(_OWN_UNITS)
-
-
 @final
 @parameters
 class OutputOptions:
@@ -401,11 +389,6 @@ class OutputOptions:
     observables: Mapping[str, OwnObservable] = tables(
         OwnObservable, doc="of the user's own, by name; absent: none"
     )
-
-    def check(self) -> None:
-        """Note the units of observables, for those who read the results of a scene."""
-        for name, own in self.observables.items():
-            _OWN_UNITS.setdefault(name, set()).add(own.unit)
 
 
 @final
@@ -586,7 +569,7 @@ class Domain:
     """A box that stands still: fields live on it, and its sides are elastic walls for the cells.
 
     Absent, a field's grid is laid round the cells anew in every step. So it is in a sphere, a wall
-    about the origin that fields pass; with a stiffness it is the cavity of a gel that gives way.
+    about the origin that fields pass; with a stiffness it is the cavity of an elastic gel.
     """
 
     shape: str = choice(["box", "sphere"], default="box", doc="sphere: a wall for cells alone")
@@ -597,7 +580,7 @@ class Domain:
         doc="of the sphere; of the cavity of a gel, where it is at rest",
     )
     stiffness: float | None = _stiffness(
-        doc="Young's modulus of an elastic gel round the sphere; absent: it stays as wide as it is",
+        doc="Young's modulus of an elastic gel round the sphere; absent: the wall is rigid",
     )
     x: tuple[float, float] | None = span(doc="from side x- to side x+")
     y: tuple[float, float] | None = span(doc="from side y- to side y+")

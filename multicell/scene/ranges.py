@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 MAX_STEPS: Final = 1e9
 """Most coupling steps of a run: at a microsecond each a quarter of an hour, at a millisecond weeks;
-the index of a step is a key of the random numbers, and the time a product with it."""
+the index of a step is a key of the random number streams, and the time a product with it."""
 
 MAX_FIXED_STEPS: Final = 1e7
 """Most steps of a fixed length in one coupling step, between which nothing can interrupt a run."""

@@ -41,7 +41,7 @@ class Reaction:
     where: str = choice(
         ["everywhere", "tissue", "medium"],
         default="everywhere",
-        doc="tissue: in proportion to what cells fill of a place, medium: to the rest",
+        doc="tissue: in proportion to the volume fraction of cells, medium: to the rest",
     )
 
     def check(self) -> None:

@@ -1,4 +1,4 @@
-"""Responses of a scene: what changes what cells do, per type, and keys that stand for some.
+"""Responses of a scene: behaviours of cells as functions of signals, and short keys for some.
 
 A response lets one behaviour go from one value to another as a signal rises. Older keys of fields,
 growth, death and energy (``growth_half_saturation``, ``necrosis`` ...) are short forms of
@@ -78,10 +78,10 @@ class Response:
     for a factor), or zero for the ``base`` of a response that falls.
     """
 
-    behaviour: str = text(doc="what is changed, for example 'growth rate' or 'uptake of oxygen'")
+    behaviour: str = text(doc="behaviour that changes, such as 'growth rate' or 'uptake of oxygen'")
     signal: str | None = text(
         default=None,
-        doc="what is found: a field, pressure, ATP, age ...; of a law of the user's "
+        doc="a field, pressure, ATP, age ...; of a law of the user's "
         "own several, separated by commas; absent for the law 'constant'",
     )
     cells: str | None = text(default=None, doc="types, separated by commas; absent: all cells")

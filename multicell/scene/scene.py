@@ -38,6 +38,7 @@ from multicell.scene.driven import PrescribedMotion, check_driven
 from multicell.scene.energy import Energy, check_energy
 from multicell.scene.networks import CellNetwork, check_networks, place_networks
 from multicell.scene.nutrient import Nutrient
+from multicell.scene.own_units import enter_units
 from multicell.scene.oxygen import in_concentrations
 from multicell.scene.parts import (
     Adhesion,
@@ -89,7 +90,7 @@ _MAX_FILE_BYTES = 10_000_000
 @final
 @parameters
 class Scene:
-    """All that a simulation starts from; a part given as a dict is converted.
+    """Description of a simulation: cells, mechanics, fields, biology; dicts are converted to parts.
 
     Each scene has the parts ``initial``, ``cells``, ``contact``, ``drag``, ``integrator`` and
     ``output``. Others are None where it has none: ``growth``, ``death``, ``adhesion``,
@@ -122,7 +123,7 @@ class Scene:
 
     title: str = text(default="", doc="one line about the scene")
     duration: float = quantity("s", above=0, doc="Simulated time, for example duration = '11 d'.")
-    seed: int = count(default=0, at_least=0, at_most=2**63 - 1, doc="of the random numbers")
+    seed: int = count(default=0, at_least=0, at_most=2**63 - 1, doc="of the random number streams")
     coupling_step: float = quantity("s", default=600.0, above=0, doc="between exchanges of parts")
     dimensions: int = count(default=3, at_least=2, at_most=3, doc="2: all cells in one plane")
     stop_cells: int | None = count(default=None, at_least=1, doc="the run ends at so many cells")
@@ -162,7 +163,7 @@ class Scene:
     responses: Mapping[str, Response] = tables(
         Response,
         listed="response",
-        doc="of what cells do to what they find; absent: none but those of single keys",
+        doc="of behaviours of cells to signals; absent: those of single keys only",
     )
     networks: Mapping[str, CellNetwork] = tables(
         CellNetwork, doc="networks of reactions inside cells; absent: none"
@@ -207,6 +208,7 @@ class Scene:
         check_reactions(self)
         check_radiation(self)
         note_written(self, self.__dict__.pop("_written"))
+        enter_units(self.output.observables)
 
     @property
     def box(self) -> Domain | None:
@@ -225,7 +227,7 @@ class Scene:
         return build_part(cls, entries)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the scene as nested dicts of base-unit numbers; what is absent has no key."""
+        """Return the scene as nested dicts of base-unit numbers, without absent parts."""
         return part_as_dict(self)
 
     def __repr__(self) -> str:

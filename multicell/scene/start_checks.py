@@ -97,7 +97,7 @@ def _check_phases(scene: Scene, given: Given) -> None:
     if "phase" not in columns:
         own_pace = growth.volume_doubling_time is not None or growth.target_scales is not None
         if "radius" in columns and own_pace:
-            hint = "Sizes tell no phase where growth has volume_doubling_time or target_scale."
+            hint = "Phases do not follow from sizes with volume_doubling_time or target_scale."
             raise DataError(given.source.name, "has no column 'phase'", hint)
         for name in (x for x in ("progress", "phase_length") if x in columns):
             where = f"{given.source.name}, '{given.titles[name]}'"

@@ -170,9 +170,12 @@ class StartTable:
     sha256: str | None = text(default=None, doc="digest of the file; absent: that which it has")
     rows: int | None = count(default=None, at_least=1, at_most=10**8, doc="number of cells")
     columns: str = text(
-        default="", doc='what the columns of another program are, as "x=POSITION_X um, type=class"'
+        default="",
+        doc='meaning of the columns of another program, as "x=POSITION_X um, type=class"',
     )
-    frame: int | None = count(default=None, at_least=0, doc="of another program's table: the first")
+    frame: int | None = count(
+        default=None, at_least=0, doc="in tables of other programs; absent: first"
+    )
     time: float | None = quantity("s", default=None, doc="in place of frame: that nearest to it")
 
     def check(self) -> None:

@@ -446,7 +446,7 @@ def variant(
 ) -> Any:
     """Declare a table whose ``key`` says which part it holds; without the key the ``usual`` one.
 
-    A part of a class that the options only find when asked, and do not list, tells its own name
+    A part of a class that the options only find when asked, and do not list, has its own name
     (``scene_name()``), which the pattern ``further`` describes to editors. ``hint`` may know more
     than the nearest name about one that is not there.
     """

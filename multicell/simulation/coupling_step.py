@@ -22,8 +22,8 @@ from multicell.biology.growth import growth_factor, lag_after
 from multicell.biology.states import irradiate
 from multicell.biology.step import age_cells, bind_changed, decide, divide_and_remove, grow
 from multicell.biology.waiting import watched
+from multicell.cells import contact_rows
 from multicell.mechanics import neighbours
-from multicell.results.observables import contact_rows
 from multicell.simulation.passages import Passed, after_conditions
 from multicell.simulation.run_state import RunState
 from multicell.simulation.timeline import Laps

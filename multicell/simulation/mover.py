@@ -10,9 +10,9 @@ from multicell.errors import StepFailed
 from multicell.integrators import registry, stability
 from multicell.integrators.shift import SHIFT, Replays, replay_step, shifted_positions
 from multicell.integrators.stability import Stability
-from multicell.results.observables import counts_contacts
-from multicell.scene import start
+from multicell.scene.dependences import counts_contacts
 from multicell.scene.domain import check_inside
+from multicell.simulation.assembly import mechanics_of
 
 if TYPE_CHECKING:
     from multicell.cells import Cells, FloatArray, IntArray
@@ -49,7 +49,7 @@ class Mover:
     """
 
     def __init__(self, scene: Scene, threads: int, integrator: Integrator | None) -> None:
-        self.system = start.mechanics(scene, threads)
+        self.system = mechanics_of(scene, threads)
         self.integrator = integrator or registry.from_options(scene.integrator)
         self.limit = stability.limit_of(self.integrator)
         self._seed, self._dimensions, self._domain = scene.seed, scene.dimensions, scene.domain

@@ -18,8 +18,7 @@ from multicell.biology.responding import wants_rest
 from multicell.biology.states import Deaths, die
 from multicell.biology.step import bind_changed
 from multicell.biology.waiting import passages
-from multicell.cells import SPHERE, Phase, State
-from multicell.results.observables import contact_rows
+from multicell.cells import SPHERE, Phase, State, contact_rows
 from multicell.scene.domain import check_inside
 
 if TYPE_CHECKING:

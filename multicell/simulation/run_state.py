@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from multicell.cells import Cells, State
+from multicell.cells import Cells, State, contact_rows
 from multicell.integrators.shift import Replays
 from multicell.integrators.stability import Stability
 from multicell.results.frame import Frame, Progress
-from multicell.results.observables import contact_rows
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray, IntArray

@@ -16,8 +16,8 @@ from multicell.errors import NutrientFailed, StepFailed
 from multicell.host.interrupts import UNCUT, WHOLE_STEP
 from multicell.results import summary
 from multicell.results.lineage import Lineage
-from multicell.scene import start
 from multicell.scene.ranges import check_memory
+from multicell.simulation.assembly import apart_at_start
 from multicell.simulation.coupling_step import next_state
 from multicell.simulation.first_state import begun, resumed
 from multicell.simulation.machinery import Machinery
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 @final
 class Simulation:
-    """Cells of a scene, and what moves, feeds and divides them.
+    """A scene's tissue in time: cells, mechanics, fields and biology.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class Simulation:
         of a file, entries of ``initial.cells`` by name, a ``DataFrame``, columns by title) whose
         cells the scene takes as with ``initial.cells``.
     frame
-        State to go on from, of a run of this scene; what comes is what would have come.
+        State to resume from, of a run of this scene; the result is that of an uninterrupted run.
     lineage
         Of the run that the frame is from.
     integrator
@@ -99,7 +99,7 @@ class Simulation:
             return
         table = scene.initial.cells
         given = cells is not None or (table is not None and "state" in table.given.columns)
-        first = start.separate(scene, initial_cells(scene) if cells is None else cells)
+        first = apart_at_start(scene, initial_cells(scene) if cells is None else cells)
         with self._compiling:
             self._state = begun(run, first, lineage, given_states=given)
 
@@ -282,7 +282,7 @@ class Simulation:
 
     @property
     def first_states(self) -> Mapping[str, int]:
-        """How many cells rested and were dead at the start, and do not fit the field."""
+        """Numbers of cells quiescent and dead at the start, and of those not fitting the field."""
         return self._state.first_states
 
     @property
@@ -292,7 +292,7 @@ class Simulation:
 
     @property
     def exposures(self) -> Mapping[str, float]:
-        """How many events are too many by the length of steps, and what that is estimated from."""
+        """Excess of events due to the length of steps, and the data of that estimate."""
         return self._state.exposures
 
     @property
@@ -307,7 +307,7 @@ class Simulation:
 
     @property
     def stability(self) -> Stability | None:
-        """How far a fixed step was from its limit; None where the method has no limit."""
+        """Ratio of a fixed step to its stability limit; None where the method has no limit."""
         return self._state.stability
 
     @property
@@ -327,7 +327,7 @@ class Simulation:
 
     @property
     def signals(self) -> Signals:
-        """All that cells find and do not carry themselves: fields, time, neighbours; name -> (n,).
+        """Signals from outside the cells: fields, time, neighbours; name -> (n,).
 
         Fields are in mM; there are no more than responses need.
         """
@@ -345,7 +345,7 @@ class Simulation:
 
     @property
     def mechanics(self) -> Mechanics:
-        """The forces between the cells, and what finds neighbours."""
+        """The forces between the cells, and the neighbour list."""
         return self._run.mover.system
 
     @property

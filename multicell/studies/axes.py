@@ -18,7 +18,7 @@ from typing import Any, Final, final
 from multicell.errors import SceneError
 from multicell.host.files import parse_toml
 from multicell.results.quantities import QUANTITY_UNITS
-from multicell.scene.parts import own_names
+from multicell.scene.own_units import own_names
 from multicell.scene.scene import Scene
 from multicell.studies.keys import Key, key_of, refuse_ineffective
 from multicell.studies.limits import MAX_POINTS

@@ -195,7 +195,7 @@ class _Work:
         return len(self.waiting) + len(self.under_way) + len(self.held)
 
     def advance(self) -> None:
-        """Submit what workers have room for, and collect what has ended."""
+        """Submit runs while workers are free, and collect those that have ended."""
         self._count()
         self._reclaim()
         while self.waiting and len(self.under_way) < self._threads:
@@ -249,7 +249,7 @@ class _Work:
         future.add_done_callback(lambda ended: self._ended.put(ended.key))
 
     def _take(self, key: str) -> None:
-        """Take what a worker says of a run, or what Dask says of the worker."""
+        """Take the answer of a worker about a run, or of Dask about the worker."""
         entry = self.under_way.pop(key)
         if entry.future.status == "finished":
             outcome = self._result(entry)

@@ -146,7 +146,7 @@ def words(name: str) -> str:
 
 
 def axis_scale(table: xr.Dataset, name: str) -> Scale:
-    """Return how to show an axis; long times are told in minutes, hours or days."""
+    """Return how to show an axis; long times are given in minutes, hours or days."""
     found = table[name].values
     if is_list(table):
         found = distinct(found)

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, is_dataclass
 from typing import Any, Final, final
 
+from multicell.behaviours.laws import OWN_RESPONSES
 from multicell.plugins.laws import OwnLaw
 from multicell.plugins.named import load_object, origin
 from multicell.results.observable import OWN_OBSERVABLES, find_own
@@ -72,6 +73,8 @@ class PlainScene:
         laws: list[type] = [type(scene.contact)]
         if scene.growth is not None:
             laws.append(type(scene.growth.growth_law))
+        named = {part.law for part in scene.responses.values()}
+        laws += [OWN_RESPONSES[name] for name in sorted(named) if name in OWN_RESPONSES]
         own = scene.output.observables.items()
         observables = {stated.function: find_own(name, stated).source for name, stated in own}
         sources = tuple(origin(law) for law in laws if issubclass(law, OwnLaw))

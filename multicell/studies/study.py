@@ -102,7 +102,7 @@ class Study:
         )
 
     def status(self) -> list[RunStatus]:
-        """Return how each run stands, in the order of :attr:`runs`."""
+        """Return the state of each run, in the order of :attr:`runs`."""
         from multicell.studies.status import run_status
 
         return [run_status(name, self.folder) for name in self.plan.names]

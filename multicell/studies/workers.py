@@ -60,7 +60,7 @@ _SETTINGS: Final[dict[str, Any]] = {
     # Dask's pages ask nobody who they are: what listens for a moment has nothing to show
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
-    # processes that start again while the study ends have nothing to tell the user
+    # processes that start again while the study ends have no message for the user
     "logging": dict.fromkeys((*_QUIET, "distributed.client", "tornado.application"), "critical"),
 }
 
@@ -213,7 +213,7 @@ def _without_main() -> Iterator[None]:
 def _without_interrupts() -> Iterator[None]:
     """Let threads and processes that are started now, and all theirs, not hear Ctrl-C.
 
-    A terminal sends it to workers too. This process tells them what to do.
+    A terminal sends it to workers too, but this process directs them.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield

@@ -26,7 +26,7 @@ _ROUNDS: Final = 500  # of moving overlapping balls apart: some 20 suffice for a
 def cells_of_image(
     content: bytes, name: str, names: ColumnMap, frame: int | None
 ) -> tuple[dict[str, NDArray[Any]], str]:
-    """Return places and radii of the cells in an image, and in words what was read.
+    """Return places and radii of the cells in an image, and a description in words.
 
     - ``name``: of the file, for errors
     - ``names``: may state ``pixel`` and ``slice``, else they are those of OME's or ImageJ's data

@@ -42,7 +42,7 @@ def at_nodes(position, most, spacing):
 
 
 def at_cells(position, most, spacing):
-    """Newton's method on the tridiagonal system; below zero uptake goes on along its tangent."""
+    """Newton's method on the tridiagonal system; below zero uptake continues along its tangent."""
     layout, shells = laid(position, spacing)
     inner, outer, weight = layout._weights(position)
     c, n = layout.filled(OUTSIDE), layout.count

@@ -8,6 +8,7 @@ from scipy.optimize import brentq
 
 import multicell as mc
 from multicell import Simulation
+from multicell.cells import contact_rows
 from multicell.contact.exact_jkr import ExactJKR
 from multicell.contact.jkr import JKR
 from multicell.contact.law import effective_modulus, effective_radius
@@ -16,7 +17,6 @@ from multicell.integrators.runge_kutta import Euler
 from multicell.mechanics.friction import FrictionMatrix
 from multicell.mechanics.motion import Motion, StateRejected
 from multicell.mechanics.system import Mechanics
-from multicell.results.observables import contact_rows
 
 
 @pytest.mark.parametrize("law", ["jkr", "exact-jkr"])

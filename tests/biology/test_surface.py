@@ -11,7 +11,7 @@ import multicell as mc
 from multicell import SceneError, Simulation
 from multicell.biology.surface import surface_force
 from multicell.cells import SPHERE, State
-from multicell.results.observables import Extent
+from multicell.population.extents import Extent
 
 TENSION = 0.3
 

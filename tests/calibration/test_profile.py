@@ -99,7 +99,7 @@ def fit():
     search = Search(problem, None)
     tried = search.run(Pool(), 30)
     again = fresh(problem, search, Pool())
-    from multicell.calibration.fitting.fitted import Fit
+    from multicell.calibration.fitting.result import Fit
 
     return Fit(problem, scene, tried, None, {"sd": 0.1}, again, search.readings)
 

@@ -19,7 +19,8 @@ from multicell.calibration.fitting.simulator import Reading, SceneSimulator
 from multicell.errors import DataError
 from multicell.measured.data import read_data
 from multicell.measured.noise import Noise
-from multicell.results.observables import centre, field_at, uniform_radius
+from multicell.population.extents import centre, uniform_radius
+from multicell.results.observables import field_at
 from multicell.units import oxygen_solubility
 
 SCENE = mc.load_scene("spheroid")

@@ -103,3 +103,49 @@ def test_what_is_no_code_of_the_users_is_a_bug_of_ours(monkeypatch, tmp_path):
     answer, _ = called(tmp_path, LAW, "    return p.stiffness * overlap")
     assert "bug of multicell" in answer.stderr
     assert re.search("own.py", answer.stderr) is None
+
+
+BOTH = """
+import multicell as mc
+
+
+@mc.pair_law(parameters={"stiffness": "nN/um"})
+def law(overlap, modulus, radius, p):
+    return p.stiffness * max(overlap, 0.0)
+
+
+@mc.pair_law(parameters={"stiffness": "nN/um"})
+def other(overlap, modulus, radius, p):
+    return 2.0 * p.stiffness * max(overlap, 0.0)
+
+
+@mc.growth_law(parameters={})
+def steady(volume, p):
+    return 1.0 + 0.1 * volume
+
+
+@mc.response(parameters={"half": "mM"})
+def half_way(signal, p):
+    return signal / (p.half + signal)
+"""
+
+
+def explained(file, *names):
+    """Explain a scene with laws of a file."""
+    laws = [word for name in names for word in ("--law", f"{file}:{name}")]
+    own = ["--set", "contact.stiffness=1", "--set", "duration=1 h"]
+    return CliRunner().invoke(main, ["explain", "growth", *laws, *own, "--json"])
+
+
+def test_several_laws_are_named_at_once(tmp_path):
+    file = tmp_path / "both.py"
+    file.write_text(BOTH)
+    answer = explained(file, "law", "steady", "half_way")
+    assert answer.exit_code == 0, answer.output
+    for name in ("law", "steady"):
+        assert f"both.py:{name}" in answer.output
+    twice = explained(file, "law", "law")
+    assert twice.exit_code == 0, twice.output
+    answer = explained(file, "law", "other")
+    assert answer.exit_code == 2
+    assert "two laws for contact.law" in " ".join(answer.output.split())

@@ -12,10 +12,10 @@ import numpy as np
 
 import multicell as mc
 from multicell.calibration.fitting.emulator import emulator
-from multicell.calibration.fitting.fitted import Fit
 from multicell.calibration.fitting.likelihood import fresh
 from multicell.calibration.fitting.pool import Pool
 from multicell.calibration.fitting.problem import FitProblem
+from multicell.calibration.fitting.result import Fit
 from multicell.calibration.fitting.search import Search
 from multicell.calibration.fitting.simulator import Reading, SceneSimulator
 from multicell.measured.data import Condition, Datum, Measured, read_data

@@ -166,13 +166,16 @@ def tissue(dimensions, cycle, regime):
                 "behaviour": "speed", "signal": "waste", "law": "monod",
                 "half": "0.01 mM", "falls": True, "combine": "minimum",
             },
+            # cells that wait in G2 grow beyond the volume of division, where hypertrophy lets them
+            **({"wait": {"behaviour": "entry into M", "law": "constant", "largest": 0.2}}
+               if cycle == "with phases" else {}),
         },
         "radiation": {
             "beam": {
                 "dose": "3 Gy", "start": "5 min", "every": "10 min", "fractions": 2,
                 "alpha": "0.2 1/Gy", "beta": "0.03 1/Gy^2", "oxygen": "oxygen", "oer": 2.5,
                 "half_oxygen": "2 kPa", "cells": "a",
-                **({"phase_factor": {"S": 0.7}} if cycle == "with phases" else {}),
+                **({"phase_factor": {"G1": 0.7}} if cycle == "with phases" else {}),
             },
             "boost": {
                 "dose": "2 Gy", "times": ["12 min"], "alpha": "0.2 1/Gy", "beta": "0.02 1/Gy^2",
@@ -348,10 +351,14 @@ TEXTS = {
 }
 """Other values of keys that name something."""
 
+FAR = {"radiation.*.phase_factor": [{"G1": 9.0}]}
+"""Values far from those of the scenes, for keys by which chances of few cells change."""
+
 
 def others(pattern, value, spec):
     """Yield values within the range of a key that are not its own."""
     yield from (text for text in TEXTS.get(pattern, ()) if text != value)
+    yield from FAR.get(pattern, ())
     yield from _others(value, spec)
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 
 from multicell.cells import Cells, State
+from multicell.population.extents import centre, distances
 from multicell.results.frame import Field, Frame
-from multicell.results.observables import centre, distances
 from multicell.results.summary import history_row
 from multicell.scene.scene import Scene
 

@@ -10,8 +10,8 @@ import multicell as mc
 from multicell.behaviours.catalogue import FULL_CROWDING
 from multicell.biology.plan import biology_plan
 from multicell.biology.responding import other_signals, rate_of_harm, value_of
+from multicell.cells import contact_rows
 from multicell.importing.imported import Fate
-from multicell.results.observables import contact_rows
 
 
 def hill(base, up=(), down=()):

@@ -6,9 +6,9 @@ from scipy.optimize import brentq
 
 import multicell as mc
 from multicell.cells import SPHERE, State
+from multicell.population.extents import Extent
 from multicell.report.explain.course import SHELLS, Profile
 from multicell.report.explain.scene import explain
-from multicell.results.observables import Extent
 from multicell.scene.scales import layer_height
 from multicell.scene.sizes import typical_radius
 

@@ -8,7 +8,7 @@ import multicell as mc
 from multicell.nutrient.field import NutrientField
 from multicell.nutrient.grid import ShellLayout, equivalent_ball_radius
 from multicell.nutrient.parameters import FieldParameters
-from multicell.results.observables import uniform_radius
+from multicell.population.extents import uniform_radius
 from multicell.scene.nutrient import Nutrient
 
 R, D = 150.0, 2000.0

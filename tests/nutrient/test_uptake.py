@@ -10,8 +10,8 @@ from multicell.cells import SPHERE, State
 from multicell.errors import SceneError
 from multicell.nutrient.fields import FieldSystem
 from multicell.nutrient.uptake import balanced, rate, uptake, uptake_and_slope
+from multicell.population.extents import Extent
 from multicell.report.explain.course import expected_course
-from multicell.results.observables import Extent
 from multicell.scene.scales import scales
 from multicell.scene.scene import Scene
 

@@ -15,7 +15,7 @@ from two_cells import ladders, result_of
 import multicell as mc
 from multicell.calibration.sensitivity.analysis import sample_sensitivity as indices_of
 from multicell.calibration.sensitivity.indices import sample
-from multicell.calibration.sensitivity.sobol import SobolIndices
+from multicell.calibration.sensitivity.result import SobolIndices
 from multicell.report.plots.colouring import colouring
 from multicell.report.plots.run import Plots
 from multicell.report.plots.space import View, film_picture, room

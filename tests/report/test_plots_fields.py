@@ -6,9 +6,9 @@ import pytest
 from synthetic import SCENE, ball, cells_at, growing_frames, history_of
 
 import multicell as mc
+from multicell.population import extents
 from multicell.report.plots.run import PICTURES, Plots
 from multicell.report.result import history_columns
-from multicell.results import observables
 from multicell.results.frame import Frame
 from multicell.results.summary import history_row
 from multicell.scene.scene import Scene
@@ -68,9 +68,7 @@ def test_every_field_has_a_map_over_its_own_values(result):
 def test_history_and_summary_tell_the_hypoxic_radius(result):
     """Without cells between, it lies between those below the threshold and those above."""
     cells, low = result.frames[-1].cells, result.frames[-1].concentrations["oxygen"] < 0.06
-    apart = np.sort(
-        observables.distances(cells, observables.centre(cells, result.scene.dimensions))
-    )
+    apart = np.sort(extents.distances(cells, extents.centre(cells, result.scene.dimensions)))
     count = int(low.sum())
     expected = result.history["hypoxic_radius_oxygen"][-1]
     assert apart[count - 5] - 5.0 < expected < apart[min(count + 5, len(cells) - 1)] + 5.0

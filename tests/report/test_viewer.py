@@ -16,9 +16,9 @@ from click.testing import CliRunner
 import multicell as mc
 from multicell.cells import Cells, State
 from multicell.cli.main import main
+from multicell.population import extents
 from multicell.report.result import Result
 from multicell.report.viewer import pack
-from multicell.results import observables
 from multicell.results.frame import Frame
 
 CHROMIUM = next(
@@ -128,7 +128,7 @@ def test_curves_have_at_every_frame_the_numbers_of_that_frame():
         frame, point = chosen[entry["time"]], entry["point"]
         assert view.about["times"][point] == frame.time
         assert curves["cells"][point] == entry["cells"] == len(frame.cells)
-        across = observables.Extent(frame.cells, 3).diameter()
+        across = extents.Extent(frame.cells, 3).diameter()
         assert curves["diameter"][point] == pytest.approx(across, rel=1e-5)
         at = long_run.history["time"] == frame.time
         counts = [int(long_run.history[state.name.lower()][at][0]) for state in State]

@@ -5,6 +5,7 @@ import pytest
 from synthetic import BARE, ball, cells_at, spheroid
 
 from multicell.cells import Cells, Phase, State
+from multicell.population import extents
 from multicell.results import observables
 from multicell.results.frame import Field, Frame
 from multicell.results.summary import history_row
@@ -21,22 +22,20 @@ def _uniform_ball(radius, count=200_000, seed=3):
 def test_two_cells_follow_the_parallel_axis_theorem_and_weigh_as_their_volumes():
     cells = cells_at([[-6.0, 0.0, 0.0], [6.0, 0.0, 0.0]], radius=5.0)
     expected = np.sqrt(5.0 / 3.0 * (36.0 + 0.6 * 25.0))
-    assert observables.Extent(cells, 3).diameter() == pytest.approx(2.0 * expected, rel=1e-14)
+    assert extents.Extent(cells, 3).diameter() == pytest.approx(2.0 * expected, rel=1e-14)
     cells = cells_at([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]], radius=[2.0, 1.0])
-    np.testing.assert_allclose(observables.centre(cells, 3), [1.0, 0.0, 0.0], rtol=1e-14)
+    np.testing.assert_allclose(extents.centre(cells, 3), [1.0, 0.0, 0.0], rtol=1e-14)
 
 
 def test_uniform_ball_is_measured_with_its_own_radius():
     cells = cells_at(_uniform_ball(100.0) + np.array([30.0, 0.0, -8.0]), radius=0.5)
     # standard error of the mean square distance: sqrt(12/175) R^2 / sqrt(n), half of it in R
-    assert observables.Extent(cells, 3).diameter() == pytest.approx(200.0, rel=4 * 0.262 / 2 / 447)
+    assert extents.Extent(cells, 3).diameter() == pytest.approx(200.0, rel=4 * 0.262 / 2 / 447)
 
 
 def test_packed_ball_does_not_depend_on_the_cells_overlap():
     position = ball(4000, jitter=0.0)
-    small, large = (
-        observables.Extent(cells_at(position, radius=r), 3).diameter() for r in (1.0, 5.0)
-    )
+    small, large = (extents.Extent(cells_at(position, radius=r), 3).diameter() for r in (1.0, 5.0))
     expected = 2.0 * (3 * 4000 * 8.4**3 / np.sqrt(2) / (4 * np.pi)) ** (1 / 3)
     assert small == pytest.approx(expected, rel=5e-3)
     # exactly R^2 + r^2: only the cells' own extent differs
@@ -67,7 +66,7 @@ def test_no_cells_have_no_size_and_no_centre():
     assert row["cells"] == row["diameter"] == row["necrotic_radius"] == 0.0
     assert np.isnan([row["viable_rim"], row["packing_ratio"]]).all()
     with pytest.raises(ValueError, match="no centre"):
-        observables.centre(cells, 3)
+        extents.centre(cells, 3)
 
 
 def test_measures_do_not_depend_on_the_order_of_cells():
@@ -130,17 +129,17 @@ def _with_cycling_share(share, count=20_000, radius=100.0):
 @pytest.mark.parametrize("edge", [0.0, 30.0, 95.0])
 def test_inhibited_radius_is_where_cycling_stops(edge):
     cells = _with_cycling_share(lambda r: 0.5 * (r > edge))
-    assert observables.inhibited_radius(cells, 3) == pytest.approx(edge, abs=1.0)
+    assert extents.inhibited_radius(cells, 3) == pytest.approx(edge, abs=1.0)
 
 
 def test_inhibited_radius_is_at_a_fifth_of_the_share_at_the_surface():
     # the outermost tenth of the cells begins at 100 * 0.9^(1/3) um and has a mean share near 0.6
     cells = _with_cycling_share(lambda r: 0.6 * np.clip((r - 20.0) / 70.0, 0.0, 1.0))
-    assert observables.inhibited_radius(cells, 3) == pytest.approx(20.0 + 0.2 * 70.0, abs=3.0)
+    assert extents.inhibited_radius(cells, 3) == pytest.approx(20.0 + 0.2 * 70.0, abs=3.0)
 
 
 def test_cells_that_died_in_s_do_not_cycle():
     cells = _with_cycling_share(lambda r: 0.5 * np.ones_like(r))
     core = np.linalg.norm(cells.position, axis=1) < 50.0
     cells.state = np.where(core, State.NECROTIC, cells.state).astype(np.int8)
-    assert observables.inhibited_radius(cells, 3) == pytest.approx(50.0, abs=1.0)
+    assert extents.inhibited_radius(cells, 3) == pytest.approx(50.0, abs=1.0)

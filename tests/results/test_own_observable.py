@@ -19,9 +19,10 @@ from multicell.cli.main import main
 from multicell.errors import SceneError
 from multicell.measured.data import read_data
 from multicell.measured.observables import in_history
-from multicell.results.measures import OBSERVABLES, scene_observables
+from multicell.results.measures import scene_observables
 from multicell.results.observable import OWN_OBSERVABLES
 from multicell.results.quantities import known_unit
+from multicell.scene.own_units import own_units
 from multicell.studies.axes import parse_range
 
 TEXT = """
@@ -237,38 +238,13 @@ def test_a_fault_in_a_run_has_file_and_line_and_the_run_can_be_resumed(tmp_path)
     assert result.history["of_a_test"].tolist() == [1.0, 1.0, 1.0, 2.0]
 
 
-FEW = {"duration": "1 h", "coupling_step": "10 min", "initial": {"count": 9}}
-WALLED = {**FEW, "domain": {**{axis: [-60.0, 60.0] for axis in "xyz"}}}
-PULLED = {"duration": "1 min", "coupling_step": "10 s", "initial": {"count": 2, "spacing": 0.95},
-          "pull": {"force": 1.0, "rate": 0.01}}  # fmt: skip
-HIT = {**FEW, "growth": {},
-       "radiation": {"course": {"dose": "2 Gy", "times": ["10 min"], "alpha": "0.3 1/Gy",
-                                "mitotic_divisions": 1}}}  # fmt: skip
-PHASED = {**FEW,
-          "growth": {"phases": {"G1": {"duration": "9 h"}, "S": {"duration": "8 h"},
-                                "G2": {"duration": "4 h"}, "M": {"duration": "1 h"}}}}  # fmt: skip
-GEL = {**FEW, "domain": {"shape": "sphere", "radius": "60 um", "stiffness": "10 kPa"}}
-
-
-@mc.network(states={"A": 1.0}, parameters={"k": 1e-4})
-def grown(t, y, u, p, out):
-    """A state that rises."""
-    out[0] = p[0] * y[0]
-
-
-FURTHER = {
-    **dict.fromkeys(("necrotic_ratio", "inhibited_radius", "inhibited_ratio"), PHASED),
-    **dict.fromkeys(("volume_fraction", "wall_pressure", "tissue_pressure"), WALLED),
-    "domain_radius": GEL,
-    "ki67_positive": {**PHASED, "growth": {**PHASED["growth"], "ki67_decay": "1 h"}},
-    "pull": PULLED, "clonogens": HIT, "doomed": HIT,
-    **{f"network_{x}_*": {**FEW, "networks": {"grown": {"network": grown}}}
-       for x in ("mean", "low", "high")},
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", [o.name for o in OBSERVABLES if o.measure is not None])
-def test_ours_keep_the_same_promises(name):
-    (ours,) = (o for o in OBSERVABLES if o.name == name)
-    scene = mc.Scene.from_dict(FURTHER[name]) if name in FURTHER else None
-    mc.testing.check_observable(ours, scene)
+def test_a_scene_that_is_refused_leaves_no_name_of_an_observable():
+    own = {"function": "mine.py:late@0123456789ab", "unit": "um"}
+    entries = {"duration": "1 h", "output": {"observables": {"of_a_refused_scene": own}}}
+    with pytest.raises(SceneError):
+        mc.Scene.from_dict({**entries, "friction": {"normal": -1.0}})
+    with pytest.raises(SceneError):
+        mc.Scene.from_dict({**entries, "motions": {"m": {"type": "none", "velocity": [0, 0, 0]}}})
+    assert own_units("of_a_refused_scene") == set()
+    mc.Scene.from_dict(entries)
+    assert own_units("of_a_refused_scene") == {"um"}

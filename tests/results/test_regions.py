@@ -6,7 +6,7 @@ from synthetic import BARE, cells_at
 
 import multicell as mc
 from multicell.cells import Phase, State
-from multicell.results import observables
+from multicell.population import extents
 from multicell.results.frame import Frame
 from multicell.results.summary import history_row
 
@@ -28,7 +28,7 @@ def tissue(dimensions=3, count=100_000, seed=3):
 
 def core(position, dead, dimensions=3, alive=0.5):
     cells = cells_at(position + SHIFT, radius=0.5, state=np.where(dead, State.NECROTIC, 0))
-    return observables.necrotic_radius(cells, dimensions, alive)
+    return extents.necrotic_radius(cells, dimensions, alive)
 
 
 @BOTH
@@ -119,7 +119,7 @@ def test_all_dead_is_the_whole_tissue():
 def inhibited(position, cycling, state=State.PROLIFERATING, dimensions=3):
     cells = cells_at(position + SHIFT, radius=0.5, state=state)
     cells.phase = np.where(cycling, Phase.S, Phase.G1).astype(np.int8)
-    return observables.inhibited_radius(cells, dimensions)
+    return extents.inhibited_radius(cells, dimensions)
 
 
 @BOTH
@@ -134,7 +134,7 @@ def test_an_inhibited_ball(dimensions, part):
 def test_total_arrest_is_inhibition_of_all():
     """Painted by phase or by state; one cell that cycles near the surface makes little of it."""
     position, apart = tissue(count=500)
-    size = observables.Extent(cells_at(position + SHIFT, radius=0.5), 3).radius()
+    size = extents.Extent(cells_at(position + SHIFT, radius=0.5), 3).radius()
     none = np.zeros(500, bool)
     assert inhibited(position, none) == size
     assert inhibited(position, ~none, State.QUIESCENT) == size

@@ -10,7 +10,7 @@ import pytest
 import multicell as mc
 from multicell.biology.initial import initial_cells
 from multicell.errors import MulticellError
-from multicell.scene import start
+from multicell.simulation.assembly import apart_at_start
 
 LOADED = """
 import json, resource, sys
@@ -78,7 +78,7 @@ def test_cells_at_one_place_are_told_apart_without_their_pairs():
     scene = mc.load_scene("settle").with_changes({"initial.count": 20_000})
     cells = initial_cells(scene)
     cells.position[100:] = cells.position[7]
-    moved = (start.separate(scene, cells).position != cells.position).any(axis=1)
+    moved = (apart_at_start(scene, cells).position != cells.position).any(axis=1)
     assert np.flatnonzero(moved).tolist() == list(range(100, 20_000))
 
 

@@ -18,6 +18,9 @@ EXPLAINED = {
 ALONE = {"dimensions": "plane"}
 """Keys that other parts tie to their values, and the scene in which they are free."""
 
+TOGETHER = {"growth.law": {"growth.parameters": None, "growth.phases.G2.target_scale": None}}
+"""Keys that can change only with others, and how these change: those of one law go with it."""
+
 OWN = ("initial.cells.", "networks.", "output.observables.", "responses.*.parameters")
 """Keys for files and code of users: test_start_table, test_inside, test_own_observable,
 test_responses."""
@@ -32,12 +35,21 @@ def own(base):
     return digest(Scene.from_dict(BASES[base]))
 
 
+def holds(scene, key):
+    """Return whether a scene states a key."""
+    part = scene.to_dict()
+    for name in key.split("."):
+        part = part.get(name) if isinstance(part, dict) else None
+    return part is not None
+
+
 def changes(base, pattern, path, value, spec):
     """Return whether another value of a key changes the run of a scene."""
     scene = Scene.from_dict(BASES[base])
     for other in others(pattern, value, spec):
         try:
-            if digest(scene.with_changes({path: other})) != own(base):
+            further = {key: x for key, x in TOGETHER.get(pattern, {}).items() if holds(scene, key)}
+            if digest(scene.with_changes({path: other, **further})) != own(base):
                 return True
         except (SceneError, StepFailed):
             continue  # the scene cannot be with this value

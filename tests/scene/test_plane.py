@@ -8,6 +8,7 @@ from synthetic import cells_at
 
 import multicell as mc
 from multicell.cells import Cells, State
+from multicell.population import extents
 from multicell.report.plots import contacts as contact_plots
 from multicell.report.wording import measures
 from multicell.results import observables
@@ -50,13 +51,13 @@ def moment_by_samples(cells: Cells, dimensions: int) -> float:
 @BOTH
 def test_one_cell_has_its_own_size(dimensions):
     cells = cells_at([[40.0, -3.0, 0.0]], radius=4.5)
-    living = observables.Extent(cells, dimensions)
+    living = extents.Extent(cells, dimensions)
     assert living.diameter() == pytest.approx(9.0, rel=1e-14)
     assert living.packing_ratio() == pytest.approx(1.0, rel=1e-13)
     assert living.dead_core == 0.0
     assert np.isnan(living.rim(living.dead_core))
     cells.state[:] = State.NECROTIC
-    dead = observables.Extent(cells, dimensions)
+    dead = extents.Extent(cells, dimensions)
     assert dead.dead_core == pytest.approx(4.5, rel=1e-14)
     assert dead.rim(dead.dead_core) == pytest.approx(0.0, abs=1e-12)
 
@@ -70,10 +71,10 @@ def test_unlike_cells_are_measured_as_their_bodies_are(dimensions):
     cells = cells_at(position, radius=rng.uniform(1.0, 12.0, 12))
     share = dimensions / (dimensions + 2)
     expected = np.sqrt(moment_by_samples(cells, dimensions) / share)
-    assert observables.Extent(cells, dimensions).diameter() == pytest.approx(2 * expected, rel=3e-3)
+    assert extents.Extent(cells, dimensions).diameter() == pytest.approx(2 * expected, rel=3e-3)
     size = cells.radius**dimensions
     middle = (size[:, None] * position).sum(axis=0) / size.sum()
-    np.testing.assert_allclose(observables.centre(cells, dimensions), middle, rtol=1e-12)
+    np.testing.assert_allclose(extents.centre(cells, dimensions), middle, rtol=1e-12)
 
 
 @BOTH
@@ -84,7 +85,7 @@ def test_a_dense_tissue_with_a_core(dimensions):
     distance = np.linalg.norm(position, axis=1)
     state = np.where(distance < 0.5 * edge, State.NECROTIC, State.PROLIFERATING)
     cells = cells_at(position + SHIFT, radius=2.0, state=state)
-    extent = observables.Extent(cells, dimensions)
+    extent = extents.Extent(cells, dimensions)
     assert extent.diameter() == pytest.approx(2 * edge, rel=6e-3)
     assert extent.dead_core == pytest.approx(0.5 * edge, rel=1e-2)
     assert extent.rim(extent.dead_core) == pytest.approx(0.5 * edge, rel=1e-2)
@@ -107,7 +108,7 @@ def test_cells_that_do_not_overlap_never_pass_a_packing_ratio_of_one(dimensions)
             gap = np.linalg.norm(far[:, None] - position[:k], axis=2) - radius[:k] - radius[k]
             position[k] = far[np.argmax((gap < 0.0).any(axis=1)) - 1]
         cells = cells_at(position, radius=radius)
-        assert 0.0 < observables.Extent(cells, dimensions).packing_ratio() <= 1.0
+        assert 0.0 < extents.Extent(cells, dimensions).packing_ratio() <= 1.0
 
 
 @BOTH
@@ -127,7 +128,7 @@ def test_profiles_count_in_rings_and_shells(dimensions):
 def test_distance_of_two_cells_follows_from_their_diameter(dimensions):
     for apart in (3.0, 11.0):
         cells = cells_at([[0.0, 0, 0], [apart, 0, 0]], radius=[4.0, 7.0])
-        size = np.array([observables.Extent(cells, dimensions).diameter()])
+        size = np.array([extents.Extent(cells, dimensions).diameter()])
         found = contact_plots.distance_of_two(size, cells, dimensions)
         assert found[0] == pytest.approx(apart, rel=1e-12)
 
@@ -155,7 +156,7 @@ def test_dead_cells_outside_the_others_are_no_core():
     position = uniform(100.0, 3, 5000)
     outside = np.linalg.norm(position, axis=1) > 80.0
     cells = cells_at(position, radius=1.0, state=np.where(outside, State.NECROTIC, 0))
-    extent = observables.Extent(cells, 3)
+    extent = extents.Extent(cells, 3)
     assert extent.dead_core == 0.0
     assert np.isnan(extent.rim(extent.dead_core))
 

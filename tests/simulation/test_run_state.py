@@ -468,3 +468,15 @@ def test_a_value_that_no_cell_can_have_is_refused(column, value):
     simulation.state = before
     simulation.step()
     assert simulation.time == before.timeline.time + simulation.scene.coupling_step
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("radios", "no column 'radios'; did you mean 'radius'"), ("x", "no column")]
+)
+def test_a_column_that_cells_do_not_have_is_refused(name, words):
+    run = mc.Simulation(mc.load_scene("growth").with_changes({"initial.count": 2}), threads=1)
+    with pytest.raises(AttributeError, match=words):
+        setattr(run.cells, name, np.ones(2))
+    with pytest.raises(AttributeError, match="volume"):
+        run.cells.volume = np.ones(2)
+    assert not hasattr(run.cells, name)

@@ -1,6 +1,9 @@
 """The name of a run: the same for scenes that mean the same, another for all that decide more."""
 
+import pickle
 import random
+import subprocess
+import sys
 
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
@@ -120,3 +123,37 @@ def test_an_own_law_counts_by_all_that_it_computes(text, name, key, tmp_path):
     assert one != other
     assert runs.PlainScene.of(found[2]).laws == (f"{tmp_path / 'c' / 'mine.py'}:{name}",)
     assert runs.PlainScene.of(mc.load_scene("growth")).laws == ()
+
+
+RESPONSE = """
+import multicell as mc
+
+
+@mc.response(parameters={"half": "mM"})
+def half_way(signal, p):
+    return signal / (p.half + signal)
+"""
+WORKER = """
+import pickle, sys
+with open(sys.argv[1], "rb") as file:
+    scene = pickle.load(file).load()
+print(type(scene).__name__, scene.responses["r"].law)
+"""
+
+
+def test_own_responses_travel_to_workers(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text(RESPONSE)
+    law = mc.load_law(f"{file}:half_way")
+    response = {"behaviour": "growth rate", "signal": "oxygen", "law": law.scene_name(),
+                "parameters": {"half": 0.01}}  # fmt: skip
+    scene = mc.load_scene("spheroid").with_changes({"responses.r": response})
+    plain = runs.PlainScene.of(scene)
+    assert plain.laws == (f"{file}:half_way",)
+    packed = tmp_path / "scene.pickle"
+    packed.write_bytes(pickle.dumps(plain))
+    done = subprocess.run(
+        [sys.executable, "-c", WORKER, str(packed)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["Scene", law.scene_name()]

@@ -18,7 +18,8 @@ from multicell.calibration.dose_response.curve import (
     draw_means,
     fit_curve,
 )
-from multicell.calibration.dose_response.result import DoseResponse, Row
+from multicell.calibration.dose_response.numbers import Row
+from multicell.calibration.dose_response.result import DoseResponse
 from multicell.errors import DataError, FitFailed, SceneError
 from multicell.host.extras import needs
 from multicell.measured.columns import finite_entry
@@ -70,7 +71,7 @@ def dose_response(
     """Find the dose at which half of a population is left, from runs or from measured data.
 
     The runs are those of a study whose points are a list, in the same folder: one that was stopped
-    continues when it is asked for again, and more doses or seeds take the runs that are there.
+    continues with the same call, and more doses or seeds reuse the existing runs.
 
     Parameters
     ----------
@@ -255,7 +256,7 @@ def _setting(scene: Scene, key: str) -> Callable[[Any], Any]:
 
 
 def run_dose_plan(plan: DosePlan, folder: Path, **how: Any) -> DoseResponse:
-    """Do all runs of a plan that are not done, and return what they show.
+    """Do all runs of a plan that are not done, and return the result.
 
     - ``how``: as :meth:`multicell.studies.study.Study.run` takes it
     """

@@ -300,20 +300,20 @@ def _estimate(value: float, draws: FloatArray, least: float = -math.inf) -> Esti
 
 
 def _dose(value: float, draws: FloatArray, lowest: float, largest: float, unit: str) -> Estimate:
-    """Return a dose with its interval; what lies outside the doses tested is not told."""
+    """Return a dose with its interval; values outside the doses tested are not given."""
     low, high = _quantiles(draws)
     unit = f" {unit}" if unit else ""
 
-    def told(end: float) -> str:
+    def bound(end: float) -> str:
         if end < lowest:
             return f"below {lowest:.3g}"
         return f"above {largest:.3g}" if end > largest else f"{end:.3g}"
 
     ends = [0.0 if end < lowest else math.inf if end > largest else end for end in (low, high)]
     inside = lowest <= value <= largest
-    words = f"{value:.3g}{unit}" if inside else f"not reached: {told(value)}{unit}"
+    words = f"{value:.3g}{unit}" if inside else f"not reached: {bound(value)}{unit}"
     if not math.isnan(low):
-        words += f" (95 %: {told(low)} to {told(high)})"
+        words += f" (95 %: {bound(low)} to {bound(high)})"
     return Estimate(value if inside else math.nan, ends[0], ends[1], words)
 
 

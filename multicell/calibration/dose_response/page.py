@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -21,10 +22,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from multicell.calibration.dose_response.curve import DoseCurve
-    from multicell.calibration.dose_response.result import DoseResponse
+    from multicell.calibration.dose_response.numbers import DoseNumbers
 
 
-def write_dose_report(result: DoseResponse, folder: Path) -> Path:
+def write_dose_report(result: DoseNumbers, folder: Path) -> Path:
     """Write ``report.html`` and the picture as PNG and SVG, and return the page."""
     drugs = " and ".join(curve.name for curve in result.curves)
     caption = (
@@ -45,7 +46,7 @@ def write_dose_report(result: DoseResponse, folder: Path) -> Path:
         tiles["slope h"] = f"{result.curve.slope.value:.3g}"
     tiles |= {TOTALS[name]: f"{entry.value:.3g}" for name, entry in result.totals.items()}
     tiles["replicates" if result.scene is None else "seeds"] = f"{result.replicates}"
-    save_figure(result.plot(), folder / "dose_response.svg")
+    save_figure(draw(result), folder / "dose_response.svg")
     return write_page(
         folder / "report.html",
         "dose_response.html",
@@ -53,7 +54,7 @@ def write_dose_report(result: DoseResponse, folder: Path) -> Path:
         title=f"{result.title}: dose response",
         subtitle=f"{result.response} over {drugs}",
         tiles=tiles,
-        pictures={"dose_response.png": (result.plot, caption)},
+        pictures={"dose_response.png": (partial(draw, result), caption)},
         result=result,
     )
 
@@ -64,8 +65,8 @@ _MAX_TILES: Final = 8  # along a side of a map with numbers
 
 
 @styled
-def draw(result: DoseResponse) -> Figure:
-    """Draw what :meth:`DoseResponse.plot` describes."""
+def draw(result: DoseNumbers) -> Figure:
+    """Draw responses, curves with bands and IC50; of combinations also both references."""
     kind = "replicates" if result.scene is None else "seeds"
     about = f"{result.replicates} {kind}" if result.replicates > 1 else f"one {kind[:-1]}"
     subtitle = f"{sentence(result.response)} relative to the control · {about} · band: 95 %"
@@ -84,7 +85,7 @@ def draw(result: DoseResponse) -> Figure:
     return figure
 
 
-def _draw_curve(axes: Axes, result: DoseResponse, drug: int) -> None:
+def _draw_curve(axes: Axes, result: DoseNumbers, drug: int) -> None:
     """Draw one drug alone, with the control beside the logarithmic axis."""
     curve = result.curves[drug]
     low, high = float(curve.doses[1]), float(curve.doses[-1])
@@ -152,7 +153,7 @@ def _mark_half(axes: Axes, curve: DoseCurve, left: float) -> None:
     axes.plot([half.value], [0.5], "D", color=RED, ms=6.5, mec="white", zorder=6)
 
 
-def _draw_map(axes: Axes, result: DoseResponse, name: str, title: str, neutral: float) -> None:
+def _draw_map(axes: Axes, result: DoseNumbers, name: str, title: str, neutral: float) -> None:
     """Draw a reference over both doses; blue is synergy, red antagonism."""
     rows = result.combination
     sides = [sorted({row[dose] for row in rows}) for dose in DOSES[2]]

@@ -352,7 +352,7 @@ def _targets(
 def _near_scatter(scatter: Array, loss: Array) -> Array:
     """Return the mean scatter of the points that fit best."""
     above = loss - loss.min()
-    # points within what the data can tell apart count fully
+    # points that the data cannot distinguish count fully
     reach = max(float(np.sort(above)[min(len(above), 12) - 1]), 9.0)
     weights = 1.0 / (1.0 + (above / reach) ** 4)
     return np.asarray(np.average(scatter, axis=0, weights=weights), dtype=float)

@@ -7,7 +7,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from multicell.calibration.fitting.fitted import Fit
 from multicell.calibration.fitting.likelihood import (
     CHECKS,
     DEFAULT_REPEATS,
@@ -18,6 +17,7 @@ from multicell.calibration.fitting.likelihood import (
 from multicell.calibration.fitting.plan import FitPlan, Progress, make_runs, write_result
 from multicell.calibration.fitting.pool import open_pool
 from multicell.calibration.fitting.problem import FitProblem, free_of
+from multicell.calibration.fitting.result import Fit
 from multicell.calibration.fitting.simulator import SceneSimulator
 from multicell.errors import SceneError
 from multicell.host.extras import needs

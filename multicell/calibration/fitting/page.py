@@ -6,13 +6,15 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from multicell.calibration.fitting.plots import FitPlots
+from multicell.calibration.fitting.predictive import predictive_check
 from multicell.calibration.shared.wording import value_in_words
 from multicell.errors import OutputError
 from multicell.report.html import write_page
 from multicell.report.wording import clock, time_unit, written
 
 if TYPE_CHECKING:
-    from multicell.calibration.fitting.fitted import Fit
+    from multicell.calibration.fitting.numbers import FitNumbers
 
 
 _DATA: Final = (
@@ -29,11 +31,12 @@ _POSTERIOR: Final = (
 )
 
 
-def write_fit_report(fit: Fit, folder: str | Path | None = None) -> Path:
+def write_fit_report(fit: FitNumbers, folder: str | Path | None = None) -> Path:
     """Write ``report.html`` and its pictures, and return the page."""
     place = fit.folder if folder is None else Path(folder)
     if place is None:
         raise OutputError("the fit has no folder to report to: name one")
+    plots = FitPlots(fit)
     return write_page(
         place / "report.html",
         "fit.html",
@@ -44,9 +47,9 @@ def write_fit_report(fit: Fit, folder: str | Path | None = None) -> Path:
         tiles=_tiles(fit),
         misfit=fit.misfit,
         pictures={
-            **({"deviations.png": (fit.plot.deviations, _DEVIATIONS)} if fit.misfit else {}),
-            "data.png": (fit.plot.data, _DATA),
-            "parameters.png": (fit.plot.parameters, _POSTERIOR),
+            **({"deviations.png": (plots.deviations, _DEVIATIONS)} if fit.misfit else {}),
+            "data.png": (plots.data, _DATA),
+            "parameters.png": (plots.parameters, _POSTERIOR),
         },
         parameters=parameters_in_words(fit),
         undetermined=[str(entry) for entry in fit.undetermined],
@@ -57,11 +60,11 @@ def write_fit_report(fit: Fit, folder: str | Path | None = None) -> Path:
     )
 
 
-def _checked(fit: Fit) -> str:
+def _checked(fit: FitNumbers) -> str:
     """Return the outcome of posterior predictive checks in words."""
     if fit.sample is None:
         return ""
-    found = fit.predictive_check()
+    found = predictive_check(fit)
     return (
         f"Data replicated from the posterior have a larger χ² than the data with probability "
         f"{found.chi_squared:.2g}, and a larger deviation of a single datum with probability "
@@ -71,7 +74,7 @@ def _checked(fit: Fit) -> str:
     )
 
 
-def _tiles(fit: Fit) -> dict[str, str]:
+def _tiles(fit: FitNumbers) -> dict[str, str]:
     best = {f"best {key}": words for key, words in list(fit.best.words.items())[:4]}
     conditions = len(fit.problem.measured.conditions)
     runs = fit.facts["sets_of_parameters"] * len(fit.problem.tasks())
@@ -86,7 +89,7 @@ def _tiles(fit: Fit) -> dict[str, str]:
     }
 
 
-def parameters_in_words(fit: Fit) -> list[dict[str, str]]:
+def parameters_in_words(fit: FitNumbers) -> list[dict[str, str]]:
     """Return the parameters one by one in words."""
     known = fit.intervals() if fit.sample is not None else {}
     rows = []
@@ -110,7 +113,7 @@ def parameters_in_words(fit: Fit) -> list[dict[str, str]]:
     return rows
 
 
-def _rows(fit: Fit) -> list[dict[str, Any]]:
+def _rows(fit: FitNumbers) -> list[dict[str, Any]]:
     """Return the data one by one in words."""
     rows = fit.rows()
     for row in rows:

@@ -38,7 +38,7 @@ from multicell.tables.columns import Table
 from multicell.tables.text import csv_text, table_text
 
 if TYPE_CHECKING:
-    from multicell.calibration.fitting.fitted import Fit
+    from multicell.calibration.fitting.result import Fit
     from multicell.calibration.fitting.search import Evaluation, Search
     from multicell.scene.scene import Scene
 
@@ -211,7 +211,7 @@ def _found(
     again: Fresh,
     seconds: float,
 ) -> Fit:
-    from multicell.calibration.fitting.fitted import Fit
+    from multicell.calibration.fitting.result import Fit
 
     own = {
         "sd": plan.sd,

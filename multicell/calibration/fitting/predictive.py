@@ -11,20 +11,12 @@ of tissues and of the mean of fresh runs, error of the emulator.
   y_i | y_-i, θ is normal with deviation (K r)_i / K_ii and variance 1 / K_ii (Bürkner, Gabry &
   Vehtari 2021, Comput. Stat. 36, 1243); draws are weighted by 1 / p(y_i | y_-i, θ), the
   largest weights smoothed.
-
-Fits of several models to one table are compared by this score, and by AIC = -2 ln L + 2 k, AICc,
-which adds 2 k (k + 1) / (n - k - 1), and BIC, which has k ln n in place of 2 k (Burnham & Anderson
-2002, Model Selection and Multimodel Inference). L is the likelihood at its largest value, for n
-data and k parameters. The scatter of tissues is estimated from some dozen runs of each model; one
-covariance for all of them, the mean, keeps the error of its determinant from deciding between
-models.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, final
 
@@ -33,14 +25,12 @@ import numpy as np
 from multicell.calibration.fitting.emulator import ENOUGH_DRAWS, best_of, draws
 from multicell.calibration.fitting.priors import Prior
 from multicell.calibration.fitting.verdict import quantiles
-from multicell.errors import SceneError
-from multicell.host.extras import needs
 from multicell.measured.noise import Array
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from multicell.calibration.fitting.fitted import Fit
+    from multicell.calibration.fitting.numbers import FitNumbers
 
 
 @final
@@ -144,14 +134,14 @@ def _smoothed(ratios: Array) -> Array:
     largest, below = order[-count:], sizes[order[-count - 1]]
     beyond = sizes[largest] - below
     middle = float(np.median(beyond))
-    if middle > 0.0:  # else the datum tells no draws apart
+    if middle > 0.0:  # else the datum distinguishes no draws
         shape, _, scale = genpareto.fit(beyond / middle, 0.5, floc=0.0, scale=1.0)
         places = (np.arange(count) + 0.5) / count
         sizes[largest] = np.minimum(below + middle * genpareto.ppf(places, shape, scale=scale), 1.0)
     return np.asarray(sizes / sizes.sum())
 
 
-def predictive_of(fit: Fit) -> Predictive:
+def predictive_of(fit: FitNumbers) -> Predictive:
     """Return the predictions of a fit; raises FitFailed where it has no posterior."""
     shares = fit.some_sample()
     problem = fit.problem
@@ -163,7 +153,7 @@ def predictive_of(fit: Fit) -> Predictive:
     return Predictive(known.predict(shares)[0], root @ root.T, jacobian)
 
 
-def least_residuals(fit: Fit, predictive: Predictive) -> Array:
+def least_residuals(fit: FitNumbers, predictive: Predictive) -> Array:
     """Return m(θ) - y in σ where ln p(y | θ) is largest, (n,)."""
     known = fit.fresh.likelihood
     assert known is not None
@@ -177,7 +167,7 @@ def least_residuals(fit: Fit, predictive: Predictive) -> Array:
     return np.asarray(known.predict(best[None])[0][0])
 
 
-def predictive_check(fit: Fit) -> PredictiveCheck:
+def predictive_check(fit: FitNumbers) -> PredictiveCheck:
     """Return the posterior predictive checks of a fit."""
     import pandas
 
@@ -197,90 +187,3 @@ def predictive_check(fit: Fit) -> PredictiveCheck:
     )
     chi_squared, largest = found.check()
     return PredictiveCheck(chi_squared, largest, table)
-
-
-def compare_fits(fits: Mapping[str, Fit]) -> pd.DataFrame:
-    """Compare fits to the same data.
-
-    Parameters
-    ----------
-    fits
-        Name -> fit.
-
-    Returns
-    -------
-    pandas.DataFrame
-        A row for each, the best predictive score first: ``parameters`` and ``data`` (numbers),
-        ``log_likelihood`` at best, ``aic``, ``aicc``, ``bic``, ``score`` (Σ ``ln p(y_i | y_-i)``,
-        the larger the better) with its standard error ``score_error``, ``behind`` (what is missing
-        to the best score) with its standard error ``behind_error``, which is that of the
-        differences datum by datum.
-
-    Raises
-    ------
-    SceneError
-        If there are fewer than two, or data differ.
-    FitFailed
-        If one of them has no posterior.
-    """
-    needs("pandas")
-    import pandas
-
-    if not isinstance(fits, Mapping) or len(fits) < 2:
-        raise SceneError("fits", "must have at least two fits", "Give {'name': fit, ...}.")
-    (first, one), *others = fits.items()
-    for name, other in others:
-        if _key(one) != _key(other):
-            problem = f"has '{first}' and '{name}', which are to different data"
-            hint = "Scores and likelihoods compare only where all data and their errors are equal."
-            raise SceneError("fits", problem, hint)
-    found = {name: predictive_of(fit) for name, fit in fits.items()}
-    common = np.mean([each.covariance for each in found.values()], axis=0)
-    rows = {}
-    for name, fit in fits.items():
-        found[name] = replace(found[name], covariance=common)
-        count, free = len(fit.problem.sigma), len(fit.problem.ranges)
-        largest = found[name].log_likelihood(least_residuals(fit, found[name]))
-        left = count - free - 1
-        aic = 2.0 * (free - largest)
-        rows[name] = {
-            "parameters": free,
-            "data": count,
-            "log_likelihood": largest,
-            "aic": aic,
-            "aicc": aic + 2.0 * free * (free + 1) / left if left > 0 else math.nan,
-            "bic": free * math.log(count) - 2.0 * largest,
-            **dict(zip(("score", "score_error"), _sum(found[name].scores), strict=True)),
-        }
-    best = max(rows, key=lambda name: rows[name]["score"])
-    for name, row in rows.items():
-        missing = _sum(found[best].scores - found[name].scores)
-        row.update(zip(("behind", "behind_error"), missing, strict=True))
-    table = pandas.DataFrame.from_dict(rows, orient="index")
-    table.index.name = "model"
-    return table.sort_values("score", ascending=False)
-
-
-def _sum(values: np.ndarray) -> tuple[float, float]:
-    """Return the sum of some values, and its standard error."""
-    spread = values.std(ddof=1) if len(values) > 1 else math.nan
-    return float(values.sum()), float(math.sqrt(len(values)) * spread)
-
-
-def _key(fit: Fit) -> list[tuple[object, ...]]:
-    """Return all that the likelihood takes from data."""
-    measured = fit.problem.measured
-    return [
-        (
-            d.observable,
-            d.value,
-            d.sigma,
-            d.log,
-            d.time,
-            d.depth,
-            d.tissues,
-            d.specimens,
-            sorted(measured.conditions[d.condition].changes.items(), key=str),
-        )
-        for d in measured.data
-    ]

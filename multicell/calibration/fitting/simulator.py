@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from multicell.errors import MulticellError
 from multicell.measured.data import Datum, Measured
 from multicell.measured.observables import course_of, entry_of
-from multicell.results.observables import centre, field_at, uniform_radius
+from multicell.population.extents import centre, uniform_radius
+from multicell.results.observables import field_at
 from multicell.studies.axes import Range
 from multicell.studies.runs import PlainScene
 

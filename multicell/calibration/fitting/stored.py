@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from multicell.calibration.fitting.fit import plan_fit
-from multicell.calibration.fitting.fitted import Fit
 from multicell.calibration.fitting.plan import FIT, FitPlan, make_runs
 from multicell.calibration.fitting.pool import Pool
 from multicell.calibration.fitting.priors import Density
+from multicell.calibration.fitting.result import Fit
 from multicell.errors import MulticellError, OutputError
 from multicell.results.documents import read_document
 from multicell.results.folder import to_json

@@ -11,10 +11,10 @@ from multicell.errors import FitFailed
 from multicell.host.extras import needs
 
 if TYPE_CHECKING:
-    from multicell.calibration.fitting.fitted import Fit
+    from multicell.calibration.fitting.numbers import FitNumbers
 
 
-def to_arviz(fit: Fit) -> Any:
+def to_arviz(fit: FitNumbers) -> Any:
     """Return an ``InferenceData`` or a ``DataTree``; see :meth:`Fit.to_arviz`."""
     needs("arviz")
     import arviz

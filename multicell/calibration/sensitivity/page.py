@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from multicell.calibration.sensitivity.result import Row, Sensitivity
+    from multicell.calibration.sensitivity.numbers import IndexTable, Row
     from multicell.studies.axes import Range
 
 
-def write_sensitivity_report(result: Sensitivity, folder: Path) -> Path:
+def write_sensitivity_report(result: IndexTable, folder: Path) -> Path:
     """Write ``report.html`` and its pictures, and return the page."""
     pictures: dict[str, Drawing] = {}
     for name in result.observables:
@@ -35,7 +35,7 @@ def write_sensitivity_report(result: Sensitivity, folder: Path) -> Path:
                 "intervals; pale is what is not distinguishable from noise or zero."
             )
             path = f"sensitivity-{name.replace('.', '_')}.png"
-            pictures[path] = partial(result.plot, name), caption
+            pictures[path] = partial(indices, result, name), caption
     names = ", ".join(key_words(free.key, free.name) for free in result.ranges)
     return write_page(
         folder / "report.html",
@@ -56,7 +56,7 @@ def _ends(free: Range) -> tuple[str, str]:
     return value_in_words(free.low, free.unit), value_in_words(free.high, free.unit) + log
 
 
-def _tiles(result: Sensitivity) -> dict[str, str]:
+def _tiles(result: IndexTable) -> dict[str, str]:
     tiles = {
         "free parameters": f"{len(result.ranges)}",
         "trajectories": f"{result.size:,}",
@@ -77,7 +77,7 @@ _NEAR_ORIGIN: Final = 0.02  # part of the chart's range within which labels woul
 
 
 @styled
-def indices(result: Sensitivity, observable: str) -> Figure:
+def indices(result: IndexTable, observable: str) -> Figure:
     """Draw the indices of an observable, the largest one on top, with 95 % intervals.
 
     What is not distinguishable from noise, or from zero, is pale; a red tick is what noise over
@@ -96,7 +96,7 @@ def indices(result: Sensitivity, observable: str) -> Figure:
     return figure
 
 
-def _title(result: Sensitivity) -> str:
+def _title(result: IndexTable) -> str:
     return f"{result.scene.title or 'Untitled scene'}: sensitivity"
 
 

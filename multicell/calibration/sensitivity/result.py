@@ -1,33 +1,25 @@
-"""Results of an analysis of sensitivity: indices, intervals, what noise hides."""
+"""Results of sensitivity analyses, Morris and Sobol: their tables, with pictures and pages."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, ClassVar, final
 
-import numpy as np
-
-from multicell.errors import OutputError, SceneError
+from multicell.calibration.sensitivity.numbers import IndexTable, Row
+from multicell.errors import SceneError
 from multicell.measured.observables import suggest
-from multicell.results.folder import file_errors, package_version, to_json, versions, write_text
+from multicell.results.folder import package_version, versions
 from multicell.results.quantities import known_unit
-from multicell.tables.text import table_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from multicell.scene.scene import Scene
-    from multicell.studies.axes import Range
-
-Row = dict[str, Any]  # one row of a table: column -> value
-
 
 @final
-@dataclass(frozen=True, eq=False)
-class Sensitivity:
-    """How much each free parameter decides each observable.
+class Sensitivity(IndexTable):
+    """Influence of each free parameter on each observable.
 
     - ``ranges``: the free parameters
     - ``size``: trajectories of Morris
@@ -41,19 +33,7 @@ class Sensitivity:
     - ``failures``: name of a run that failed -> reason; the study in the folder has the others
     """
 
-    scene: Scene
-    ranges: tuple[Range, ...]
-    size: int
-    seeds: tuple[int, ...]
-    table: list[Row]
-    notes: list[str]
-    failures: Mapping[str, str]
-    folder: Path | None = None
-
-    @property
-    def observables(self) -> list[str]:
-        """Names of the observables."""
-        return list(dict.fromkeys(row["observable"] for row in self.table))
+    leading: ClassVar[str] = "mu_star"
 
     def index(self, observable: str, parameter: str) -> Row:
         """Return one row of the table.
@@ -78,10 +58,6 @@ class Sensitivity:
 
         return indices(self, observable or self.observables[0])
 
-    def to_csv(self) -> str:
-        """Return the table as CSV."""
-        return table_text(self.table)
-
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values."""
         return {
@@ -94,10 +70,6 @@ class Sensitivity:
             "scene": self.scene.to_dict(),
         }
 
-    def to_json(self) -> str:
-        """Return everything as strict JSON; NaN is null."""
-        return to_json(self.to_dict()) + "\n"
-
     def text(self) -> str:
         """Return the table in words, the largest index of each observable first."""
         lines = []
@@ -106,11 +78,6 @@ class Sensitivity:
             lines.append(f"{name.replace('_', ' ')}{f' ({unit})' if unit else ''}")
             lines += [f"  {line}" for line in _table_lines(self.ordered(name))]
         return "\n".join([*lines, *(f"Note: {note}" for note in self.notes)])
-
-    def ordered(self, observable: str) -> list[Row]:
-        """Return the rows of an observable, the largest index first."""
-        rows = [row for row in self.table if row["observable"] == observable]
-        return sorted(rows, key=lambda row: -np.nan_to_num(row["mu_star"]))
 
     def report(self, folder: str | Path | None = None) -> Path:
         """Write tables, pictures and the page ``report.html``; return the page.
@@ -124,22 +91,55 @@ class Sensitivity:
 
         return write_sensitivity_report(self, self.write_tables(folder))
 
-    def write_tables(self, folder: str | Path | None = None) -> Path:
-        """Write ``sensitivity.csv`` and ``sensitivity.json``; return the folder.
 
-        Raises
-        ------
-        OutputError
-            As :meth:`report`.
-        """
-        place = self.folder if folder is None else Path(folder)
-        if place is None:
-            raise OutputError("the analysis has no output folder: say where the report shall go")
-        with file_errors("use the output folder", place):
-            place.mkdir(parents=True, exist_ok=True)
-        write_text(place / "sensitivity.csv", self.to_csv())
-        write_text(place / "sensitivity.json", self.to_json())
-        return place
+@final
+class SobolIndices(IndexTable):
+    """Contributions of parameters to the variance of observables.
+
+    - ``ranges``: the free parameters
+    - ``size``: points of the sequence; runs are ``size * (parameters + 2)`` for each seed
+    - ``seeds``: runs at each point, whose observables are averaged
+    - ``table``: a row for each observable and parameter: ``observable``, ``unit``, ``parameter``,
+      ``key``, ``low``, ``high``, ``parameter_unit`` and :data:`COLUMNS_SOBOL`
+    - ``notes``: what the reader must know
+    - ``failures``: name of a run that failed -> reason
+    """
+
+    leading: ClassVar[str] = "ST"
+
+    def plot(self, observable: str | None = None) -> Figure:
+        """Draw first and total indices of an observable with their intervals."""
+        from multicell.calibration.sensitivity.sobol_page import sobol_bars
+
+        return sobol_bars(self, observable or self.observables[0])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain values."""
+        return {
+            "method": "sobol",
+            "size": self.size,
+            "seeds": self.seeds,
+            "table": self.table,
+            "notes": self.notes,
+            "versions": {**versions(), "SALib": package_version("SALib")},
+            "scene": self.scene.to_dict(),
+        }
+
+    def text(self) -> str:
+        """Return the table in words."""
+        lines = []
+        for name in self.observables:
+            lines.append(name.replace("_", " "))
+            for row in self.ordered(name):
+                first, total = (f"{row[x]:.3g} ± {row[f'{x}_conf']:.2g}" for x in ("S1", "ST"))
+                lines.append(f"  {row['parameter']:24s} S1 {first:18s} ST {total}")
+        return "\n".join([*lines, *(f"Note: {note}" for note in self.notes)])
+
+    def report(self, folder: str | Path | None = None) -> Path:
+        """Write tables, pictures and the page ``report.html``; return the page."""
+        from multicell.calibration.sensitivity.sobol_page import write_sobol_report
+
+        return write_sobol_report(self, self.write_tables(folder))
 
 
 def _table_lines(rows: Sequence[Row]) -> list[str]:

@@ -15,25 +15,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from multicell.errors import OutputError, SceneError
-from multicell.results.folder import file_errors, package_version, to_json, versions, write_text
-from multicell.tables.text import table_text
+from multicell.calibration.sensitivity.result import SobolIndices
+from multicell.errors import SceneError
 from multicell.units import shown
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from multicell.calibration.sensitivity.analysis import SensitivityPlan
+    from multicell.calibration.sensitivity.plan import SensitivityPlan
     from multicell.cells import FloatArray
-    from multicell.scene.scene import Scene
-    from multicell.studies.axes import Range
 
 LEAST_SIZE: Final = 8  # places: of fewer no interval can be resampled
 COLUMNS_SOBOL: Final = ("S1", "S1_conf", "ST", "ST_conf", "noise")
@@ -90,93 +85,6 @@ def sobol_indices(names: Sequence[str], values: FloatArray) -> tuple[dict[str, F
 
 def _cube(names: Sequence[str]) -> dict[str, Any]:
     return {"num_vars": len(names), "names": list(names), "bounds": [[0.0, 1.0]] * len(names)}
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class SobolIndices:
-    """The parts of the variance of observables that parameters make.
-
-    - ``ranges``: the free parameters
-    - ``size``: points of the sequence; runs are ``size * (parameters + 2)`` for each seed
-    - ``seeds``: runs at each point, whose observables are averaged
-    - ``table``: a row for each observable and parameter: ``observable``, ``unit``, ``parameter``,
-      ``key``, ``low``, ``high``, ``parameter_unit`` and :data:`COLUMNS_SOBOL`
-    - ``notes``: what the reader must know
-    - ``failures``: name of a run that failed -> reason
-    """
-
-    scene: Scene
-    ranges: tuple[Range, ...]
-    size: int
-    seeds: tuple[int, ...]
-    table: list[dict[str, Any]]
-    notes: list[str]
-    failures: Mapping[str, str]
-    folder: Path | None = None
-
-    @property
-    def observables(self) -> list[str]:
-        """Names of the observables."""
-        return list(dict.fromkeys(row["observable"] for row in self.table))
-
-    def ordered(self, observable: str) -> list[dict[str, Any]]:
-        """Return the rows of an observable, the largest total index first."""
-        rows = [row for row in self.table if row["observable"] == observable]
-        return sorted(rows, key=lambda row: -np.nan_to_num(row["ST"]))
-
-    def plot(self, observable: str | None = None) -> Figure:
-        """Draw first and total indices of an observable with their intervals."""
-        from multicell.calibration.sensitivity.sobol_page import sobol_bars
-
-        return sobol_bars(self, observable or self.observables[0])
-
-    def text(self) -> str:
-        """Return the table in words."""
-        lines = []
-        for name in self.observables:
-            lines.append(name.replace("_", " "))
-            for row in self.ordered(name):
-                first, total = (f"{row[x]:.3g} ± {row[f'{x}_conf']:.2g}" for x in ("S1", "ST"))
-                lines.append(f"  {row['parameter']:24s} S1 {first:18s} ST {total}")
-        return "\n".join([*lines, *(f"Note: {note}" for note in self.notes)])
-
-    def to_csv(self) -> str:
-        """Return the table as CSV."""
-        return table_text(self.table)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain values."""
-        return {
-            "method": "sobol",
-            "size": self.size,
-            "seeds": self.seeds,
-            "table": self.table,
-            "notes": self.notes,
-            "versions": {**versions(), "SALib": package_version("SALib")},
-            "scene": self.scene.to_dict(),
-        }
-
-    def to_json(self) -> str:
-        """Return everything as strict JSON; NaN is null."""
-        return to_json(self.to_dict()) + "\n"
-
-    def report(self, folder: str | Path | None = None) -> Path:
-        """Write tables, pictures and the page ``report.html``; return the page."""
-        from multicell.calibration.sensitivity.sobol_page import write_sobol_report
-
-        return write_sobol_report(self, self.write_tables(folder))
-
-    def write_tables(self, folder: str | Path | None = None) -> Path:
-        """Write ``sensitivity.csv`` and ``sensitivity.json``; return the folder."""
-        place = self.folder if folder is None else Path(folder)
-        if place is None:
-            raise OutputError("the analysis has no output folder: say where the report shall go")
-        with file_errors("use the output folder", place):
-            place.mkdir(parents=True, exist_ok=True)
-        write_text(place / "sensitivity.csv", self.to_csv())
-        write_text(place / "sensitivity.json", self.to_json())
-        return place
 
 
 def sobol_result(

@@ -18,17 +18,17 @@ from multicell.studies.pictures import with_heading
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from multicell.calibration.sensitivity.sobol import SobolIndices
+    from multicell.calibration.sensitivity.numbers import IndexTable
 
 
-def write_sobol_report(result: SobolIndices, folder: Path) -> Path:
+def write_sobol_report(result: IndexTable, folder: Path) -> Path:
     """Write ``report.html`` and its pictures, and return the page."""
     pictures: dict[str, Drawing] = {}
     for name in result.observables:
         if any(np.isfinite(row["ST"]) for row in result.ordered(name)):  # else a note says why
             caption = f"{sentence(words(name))}: parts of its variance, with 95 % intervals."
             path = f"sensitivity-{name.replace('.', '_')}.png"
-            pictures[path] = partial(result.plot, name), caption
+            pictures[path] = partial(sobol_bars, result, name), caption
     names = ", ".join(key_words(free.key, free.name) for free in result.ranges)
     return write_page(
         folder / "report.html",
@@ -47,12 +47,12 @@ def write_sobol_report(result: SobolIndices, folder: Path) -> Path:
     )
 
 
-def _heading(result: SobolIndices) -> str:
+def _heading(result: IndexTable) -> str:
     return f"{result.scene.title or 'Untitled scene'}: sensitivity"
 
 
 @styled
-def sobol_bars(result: SobolIndices, observable: str) -> Figure:
+def sobol_bars(result: IndexTable, observable: str) -> Figure:
     """Draw first and total indices of an observable, the largest total one on top."""
     rows = result.ordered(observable)
     subtitle = (

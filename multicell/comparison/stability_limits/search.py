@@ -12,7 +12,8 @@ from multicell.comparison.base import Row
 from multicell.comparison.ladders import Method, capable_methods, select_methods
 from multicell.comparison.measured import Measurements, open_measurements
 from multicell.comparison.replay import solve_compiled
-from multicell.comparison.stability_limits.result import STABILITY_FILES, StabilityMap
+from multicell.comparison.stability_limits.numbers import STABILITY_FILES
+from multicell.comparison.stability_limits.result import StabilityMap
 from multicell.comparison.stability_limits.state import TrialState, settled_state
 from multicell.comparison.stability_limits.trial import STABLE, judge, run_trial
 from multicell.integrators.base import Integrator
@@ -81,14 +82,14 @@ def stability(
         If the scene's cells cannot be settled.
     """
     described = scene if isinstance(scene, Scene) else load_scene(scene)
-    tell = progress or (lambda _: None)
+    note = progress or (lambda _: None)
     names = [*capable_methods(described), *_EXTRA] if methods is None else methods
     chosen = select_methods(names, described, 0.9 * described.cells.division_radius)
     what = {"patience": patience, "threads": threads}
     with open_measurements(
         output, STABILITY_FILES, described, what, chosen, names, overwrite=overwrite
     ) as measured:
-        wall, table = _measure(described, chosen, patience, threads, measured, tell)
+        wall, table = _measure(described, chosen, patience, threads, measured, note)
         facts = {"precision": PRECISION, "wall": wall, "versions": versions()}
         result = StabilityMap(described, table, facts)
         if output is not None:
@@ -102,7 +103,7 @@ def _measure(
     patience: float,
     threads: int | None,
     measured: Measurements,
-    tell: Callable[[str], None],
+    note: Callable[[str], None],
 ) -> tuple[float, list[Row]]:
     """Return the wall time that all trials took, s, and their rows, some from the folder."""
     begin = clock.perf_counter()
@@ -110,14 +111,14 @@ def _measure(
     for method in methods:
         known = measured.find(method)
         if known is not None:
-            tell(f"{method.name}: was measured before")
+            note(f"{method.name}: was measured before")
             before += known["wall"]
             table += known["rows"]
             continue
         if state is None:
-            tell("settling")
+            note("settling")
             state = settled_state(scene, threads)
-        tell(method.name)
+        note(method.name)
         started = clock.perf_counter()
         rows = _rows(state, method, patience)
         measured.add(method, rows=rows, wall=clock.perf_counter() - started)

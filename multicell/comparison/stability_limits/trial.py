@@ -34,7 +34,7 @@ TRIAL_ENDS: Final = {
     WRONG: "displacements alternate from step to step, the energy rises, or the end is not that of "
     "the reference",
 }
-"""How a trial ends -> what that means. Where several apply, blow-up or stall counts first."""
+"""End of a trial -> its meaning. Where several apply, blow-up or stall counts first."""
 
 TRIAL_STEPS: Final = 200  # steps that a method with a fixed step takes in a trial
 
@@ -73,7 +73,7 @@ class Trace:
 
 
 def run_trial(state: TrialState, method: Method, setting: float, patience: float = 20.0) -> Trace:
-    """Run a method from a state and record what it does.
+    """Run a method from a state and record the outcome.
 
     A method with a fixed step takes :data:`TRIAL_STEPS` steps, one at a time; a multistep method
     starts anew for every recorded state. Methods under error control are recorded eight times in

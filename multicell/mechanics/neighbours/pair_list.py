@@ -79,7 +79,7 @@ def are_listed(
     second: NDArray[np.int64],
     n: int,
 ) -> NDArray[np.bool_]:
-    """Tell which pairs of the cells ``first`` and ``second`` are among ``pairs``, (m, 2)."""
+    """Return which pairs of the cells ``first`` and ``second`` are among ``pairs``, (m, 2)."""
     if pairs is None:
         return np.zeros(len(first), dtype=np.bool_)
     known = pairs[:, 0] * np.int64(n) + pairs[:, 1]

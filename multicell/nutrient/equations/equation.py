@@ -220,7 +220,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         return inverse
 
     def steady_state(self, data: FloatArray, t: float) -> tuple[FloatArray, dict[str, Any]]:
-        """Return the state that rests with the conditions of a time in s, and what it took.
+        """Return the steady state with the conditions of a time in s, and the work of finding it.
 
         Raises
         ------

@@ -72,8 +72,8 @@ def _derivative_of_another(made: OwnReaction) -> list[str]:
         rates, slope = made.evaluate(c, np.full(_ALONG, rng.uniform(0.0, 1.0)))
         steps = np.diff(c, axis=1)
         middle = 0.5 * (slope[:, :, 1:] + slope[:, :, :-1])
-        told = np.einsum("ijx,jx->ix", middle, steps)
-        missing = np.abs(np.diff(rates, axis=1) - told)
+        predicted = np.einsum("ijx,jx->ix", middle, steps)
+        missing = np.abs(np.diff(rates, axis=1) - predicted)
         whole = np.abs(np.diff(rates, axis=1)).sum(axis=1)
         amiss = missing.sum(axis=1) > _AGREE * whole + 1e-14 * np.abs(rates).max()
         if amiss.any():

@@ -1,6 +1,6 @@
 """Rates of reactions between fields, and their derivatives, at all nodes of a grid.
 
-A reaction of a scene goes on at ``rate`` times c^n of each field that it consumes. Below zero,
+A reaction of a scene proceeds at ``rate`` times c^n of each field that it consumes. Below zero,
 where only a solver's iterates and its error can be, rates go on along their tangent at zero: what
 is not there is then not consumed, and what a reaction would have taken too much comes back.
 """

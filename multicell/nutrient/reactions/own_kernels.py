@@ -7,7 +7,6 @@ Compiled code is kept on disk under it, and cannot be stale.
 
 from __future__ import annotations
 
-from collections import namedtuple
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -18,6 +17,7 @@ from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from multicell.compiling import KERNEL
 from multicell.plugins.fingerprints import fingerprint, helpers_of
+from multicell.plugins.stand_ins import stand_in_types
 
 Rate = Callable[[tuple[float, ...], Any], Sequence[float]]
 
@@ -26,13 +26,13 @@ _TINY = 1e-12  # mM, below which a difference quotient takes no shorter steps
 
 
 class Cell(NamedTuple):
-    """A place where a reaction goes on: a cell of the grid."""
+    """A place where a reaction proceeds: a cell of the grid."""
 
     tissue: float
     """Part of it that is tissue, 0 to 1."""
 
 
-_TYPES: dict[str, Any] = {}
+_type, __getattr__ = stand_in_types(__name__, "Reaction_", lambda name: ["unit"])
 _FUNCTIONS: dict[Any, tuple[Rate, int]] = {}
 
 
@@ -41,21 +41,6 @@ def type_of(rate: Rate, fields: Sequence[str]) -> Any:
     made = _type(f"Reaction_{len(fields)}_{fingerprint(rate, modules=True)}")
     _FUNCTIONS[made] = rate, len(fields)
     return made
-
-
-def _type(name: str) -> Any:
-    if name not in _TYPES:
-        made = namedtuple(name, ["unit"])  # type: ignore[misc]
-        made.__module__ = __name__
-        _TYPES[name] = made
-    return _TYPES[name]
-
-
-def __getattr__(name: str) -> Any:
-    """Return a type: the index of compiled code on disk asks by name for them all."""
-    if name.startswith("Reaction_"):
-        return _type(name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def _at_node(p, c, tissue, out, slope):

@@ -35,7 +35,7 @@ SHELLS: Final = 40  # of the ball of tissue
 _STEPS_IN_CYCLE: Final = 12  # steps of the forecast
 _MAX_STEPS: Final = 300  # of a forecast, which bounds its time
 _MAX_EXPONENT: Final = 60.0  # exponent of growth in a step: then it is over
-_MAX_CELLS: Final = 1e12  # no forecast goes on beyond
+_MAX_CELLS: Final = 1e12  # no forecast continues beyond
 _MAX_ITERATIONS: Final = 40  # of bisections: 2^-40 of the first bracket
 _TURNS: Final = 8  # in which fields are solved for that depend on each other
 _PACKING: Final = 0.77  # volume of cells in that of tissue, as runs have it
@@ -263,7 +263,7 @@ class Profile:
         self._factor: Any = 1.0  # of other fields on the uptake
 
     def rest(self, resting: NDArray[np.bool_]) -> None:
-        """Note where cells rest for lack of something else, (n,) bool."""
+        """Note where cells are quiescent for lack of something else, (n,) bool."""
         self._active = np.where(resting, 0.0, self._active)
 
     def solve(
@@ -338,7 +338,7 @@ class Profile:
     def _uptake(self, level: FloatArray, volume: float) -> FloatArray:
         """Return uptake over concentration, 1/s: amol/s in µm³ are mM/s.
 
-        Cells rest or not by what they found last: when a medium is switched all go on for a while.
+        Quiescence follows the last field: after a switch of the medium all cells take up at first.
         """
         field = self.nutrient
         share = self._active + (1.0 - self._active) * field.quiescent_uptake

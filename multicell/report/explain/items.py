@@ -12,7 +12,7 @@ from multicell.units import time_text
 @final
 @dataclass(frozen=True)
 class ExplainedPart:
-    """A part of a scene: whether it is used, and what that means."""
+    """A part of a scene: whether it is used, and its effect."""
 
     part: str
     used: bool

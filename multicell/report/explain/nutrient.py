@@ -38,8 +38,8 @@ def _energy_words(scene: Scene) -> str:
         "rest below": energy.quiescence,
         "death below": energy.necrosis,
     }
-    told = [f"{what} {value:g} mM/s" for what, value in effects.items() if value is not None]
-    return "; ".join([words, *told])
+    rates = [f"{what} {value:g} mM/s" for what, value in effects.items() if value is not None]
+    return "; ".join([words, *rates])
 
 
 def _reaction_words(reaction: Reaction) -> str:

@@ -50,7 +50,7 @@ def explain(scene: Scene) -> dict[str, Any]:
 
 
 def _parts(scene: Scene, expected: Prediction) -> list[ExplainedPart]:
-    told = effects(scene) if scene.responses else ()
+    known = effects(scene) if scene.responses else ()
     method = scene.integrator.method
     info = METHODS.get(method) or MethodInfo(method)
     integrator = f"{method}: {info.words}"
@@ -61,7 +61,7 @@ def _parts(scene: Scene, expected: Prediction) -> list[ExplainedPart]:
         *contact_parts(scene),
         part("growth", _growth_words(scene)),
         part("death", _death_words(scene)),
-        *(ExplainedPart(e.key, True, _sentence(scene, e)) for e in told if not e.short),
+        *(ExplainedPart(e.key, True, _sentence(scene, e)) for e in known if not e.short),
         part("radiation", "; ".join(_radiation_words(scene))),
         *(
             ExplainedPart(f"networks.{name}", True, network_words(scene, name))
@@ -79,8 +79,10 @@ def _start_words(scene: Scene) -> str:
     start = scene.initial
     if start.cells is not None:
         name = Path(start.cells.file).name or "cells given in memory"
-        told = ", ".join(start.cells.given.columns)
-        return f"{start.count:,} cell(s) of the table '{name}', which gives {told}{_stage(scene)}"
+        columns = ", ".join(start.cells.given.columns)
+        return (
+            f"{start.count:,} cell(s) of the table '{name}', which gives {columns}{_stage(scene)}"
+        )
     shape = "row along x" if start.shape == "row" else "ball"
     if scene.dimensions == 2:
         shape = "plane, where they stay" if shape == "ball" else f"{shape}, in a plane"

@@ -114,7 +114,7 @@ def _by_clone(cells: Cells, lineage: Mapping[str, NDArray[Any]]) -> Colouring:
     Where there was one first cell, the founders are the first eight or more of one generation.
     """
     if "id" not in lineage:
-        raise OutputError("the run has no lineage, by which clones are told apart")
+        raise OutputError("the run has no lineage, which clones are identified by")
     founders, group = np.unique(founder(cells.id, lineage), return_inverse=True)
     count = len(founders)
     rgb = clone_colours(count)
@@ -127,7 +127,7 @@ def _by_clone(cells: Cells, lineage: Mapping[str, NDArray[Any]]) -> Colouring:
 def clone_colours(count: int) -> FloatArray:
     """Return colours of clones, (count, 3).
 
-    Neighbours in number are sisters: colours far apart tell them from each other.
+    Neighbours in number are sisters: distant colours distinguish them.
     """
     turns = 0.05 + 0.9 * (np.arange(count) * 0.618034 % 1.0)
     return np.asarray(mpl.colormaps["turbo"](turns)[:, :3])

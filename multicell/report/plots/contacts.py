@@ -11,10 +11,10 @@ from matplotlib.ticker import MaxNLocator
 
 from multicell.cells import Cells, FloatArray
 from multicell.contact.pair import Pair
+from multicell.population.extents import sizes
 from multicell.report.plots import style
 from multicell.report.wording import TimeUnit, percent, time_unit
 from multicell.results.frame import Frame
-from multicell.results.observables import sizes
 from multicell.scene.pairs import pair_of
 from multicell.scene.scene import Scene
 
@@ -74,7 +74,7 @@ def _draw_fraction(
 def distance_of_two(diameter: FloatArray, cells: Cells, dimensions: int) -> FloatArray:
     """Return the distance of two cells of constant radii from their common diameter, µm.
 
-    It inverts :func:`multicell.results.observables.uniform_radius`: with the parts p of the volume
+    It inverts :func:`multicell.population.extents.uniform_radius`: with the parts p of the volume
     (in a plane of the area) and q = d / (d + 2), q R² = p₁ p₂ x² + q (p₁ r₁² + p₂ r₂²).
     """
     size = sizes(cells, dimensions)
@@ -104,9 +104,9 @@ def pull(frames: Sequence[Frame], history: style.History, scene: Scene) -> Figur
     progress = frames[-1].progress
     if broken and progress is not None and progress.separation is not None:
         top = progress.separation["force"]  # of its own time within the step
-    told = f"the last contact broke at {top:.4g} nN" if broken else "not pulled apart"
+    outcome = f"the last contact broke at {top:.4g} nN" if broken else "not pulled apart"
     end = float(time[-1])
-    figure = style.headed(scene, f"After {time_unit(end).text(end)}: {told}")
+    figure = style.headed(scene, f"After {time_unit(end).text(end)}: {outcome}")
     axes = figure.add_axes((0.09, 0.12, 0.87, 0.63))
     axes.set_ylabel("force (nN)")
     two = len(frames[0].cells) == 2 and scene.growth is None

@@ -8,17 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from multicell.population.extents import centre, distances, uniform_radius
 from multicell.report.plots import style
 from multicell.results.frame import Frame
-from multicell.results.observables import (
-    RadialProfile,
-    centre,
-    distances,
-    field_profile,
-    means,
-    radial_profile,
-    uniform_radius,
-)
+from multicell.results.observables import RadialProfile, field_profile, means, radial_profile
 from multicell.scene.scene import Scene
 
 

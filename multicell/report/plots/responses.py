@@ -31,7 +31,7 @@ def response_curves(scene: Scene) -> Figure:
     if not panels:
         raise ValueError("nothing in this scene responds to a signal: there is nothing to draw")
     shown = list(panels.items())[:_MAX_PANELS]
-    title = "What cells do about what they find"
+    title = "Responses of cells to signals"
     if len(panels) > len(shown):
         title += f" ({len(shown)} of {len(panels)})"
     figure = headed(scene, title)

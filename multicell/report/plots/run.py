@@ -2,7 +2,7 @@
 
 Every method of :class:`Plots` returns a :class:`matplotlib.figure.Figure` of about 1600 x 1000
 pixels and leaves matplotlib's global state alone. The colours of the states differ in lightness
-too, so that they can be told apart with any colour vision and in grey. Nothing that draws is
+too, so that they are distinguishable with any colour vision and in grey. Nothing that draws is
 loaded before it is needed.
 """
 
@@ -224,7 +224,7 @@ class Plots:
         return contacts(self.frames, self.history, self.scene)
 
     @_picture(
-        "What cells do about what they find: each behaviour over its signals.",
+        "Responses of cells: each behaviour over its signals.",
         on_page=lambda run: len(run.scene.responses) > 0,
     )
     def responses(self) -> Figure:

@@ -22,11 +22,11 @@ from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from multicell.cells import Cells, FloatArray, State
 from multicell.errors import OutputError, SceneError
+from multicell.population.extents import centre, uniform_radius
 from multicell.report.plots import style
 from multicell.report.plots.colouring import SCALE, Colouring
 from multicell.report.wording import cell_count
 from multicell.results.frame import Field, Frame
-from multicell.results.observables import centre, uniform_radius
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.scene import Scene
 from multicell.units import to_base
@@ -291,14 +291,14 @@ def draw_field(
     low: float | None,
     colours: Colormap,
 ) -> tuple[AxesImage, float | None]:
-    """Draw a field on the plane at z as shades, and where cells rest as a line over all else.
+    """Draw a field on the plane at z as shades, with a line at the threshold of quiescence.
 
     There is no line at the threshold of necrosis: see :func:`necrotic_share`.
 
     - ``medium``: concentration around the grid, mM
     - ``low``: where the colours begin, mM; None for the lowest value
 
-    Returns shades; resting: concentration below which cells rest, if there is a line for it.
+    Returns shades; resting: threshold of quiescence, if there is a line for it.
     """
     x, y, plane = refine(field, z)
     low = min(float(plane.min()), medium) if low is None else low
@@ -335,7 +335,7 @@ def necrotic_share(
     """Return which part of the nearby cells is necrotic, on a grid over a plane.
 
     "Nearby" is a Gaussian in space whose standard deviation is 1.5 mean radii of the cells: a
-    line through this field says where the core ends as far as cells can tell. An isoline of the
+    line through this field says where the core ends as far as the cells show. An isoline of the
     nutrient cannot: dead cells take up nothing, so that the concentration in the core levels off
     close to the threshold itself.
 
@@ -396,7 +396,7 @@ def _draw_behind(
         bar = _draw_bar(figure, shades, f"{field.name.capitalize()} ({field.unit})", 0.27)
         if resting is not None:
             bar.ax.axhline(resting, **line)
-            label = f"below {resting:.3g}: cells rest"
+            label = f"below {resting:.3g}: cells are quiescent"
             handles.insert(0, Line2D([], [], label=label, **line))
     if handles:
         figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.713, 0.25))

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from multicell.cells import FloatArray
 from multicell.compiling import KERNEL
 from multicell.errors import OutputError
+from multicell.population.extents import centre
 from multicell.report.plots.colouring import Colouring
 from multicell.report.plots.section import explain_colours, frame_window, scale_bar
 from multicell.report.plots.style import DPI, SIZE, headed, moment, styled
 from multicell.report.wording import cell_count, time_unit
 from multicell.results.frame import Frame
-from multicell.results.observables import centre
 from multicell.scene.scene import Scene
 
 FILM: Final = (8.0, 6.0)  # inches
@@ -35,7 +35,7 @@ _WORDS: Final = {"none": "", "half": ", cut in half", "quarter": ", a quarter cu
 _GREY: Final = "#7d8994"  # is read on white and on black
 CUTS: Final = ("none", "half", "quarter")  # what can be cut away
 
-_AZIMUTH: Final = -60.0  # degrees: where the eye stands without a turn, and what a cut opens to
+_AZIMUTH: Final = -60.0  # degrees: viewing angle without a turn, towards which a cut opens
 _HEIGHT: Final = 24.0  # degrees above the horizon
 _LEVELS: Final = 3  # points along a side of which one pixel is the mean
 _LIGHT: Final = np.array([0.30, 0.46, 0.836])  # direction of the light, of length one

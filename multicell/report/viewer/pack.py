@@ -29,12 +29,12 @@ from numpy.typing import NDArray
 from multicell import random
 from multicell.cells import FloatArray, IntArray
 from multicell.errors import OutputError
+from multicell.population.extents import centre
 from multicell.random import Purpose
 from multicell.report.plots.colouring import SCALE, clone_colours, founder, limits_of
 from multicell.report.plots.style import STATE_COLOURS, type_colours
 from multicell.report.wording import TimeUnit, cell_count, time_unit, written
 from multicell.results.frame import Frame
-from multicell.results.observables import centre
 from multicell.results.quantities import known_unit, title_of, unit_of
 from multicell.results.tables import NAMED
 

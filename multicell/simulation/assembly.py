@@ -1,4 +1,4 @@
-"""Build the mechanics of a scene, and move cells apart that coincide."""
+"""Mechanics of a scene, and cells that coincide and are moved apart before it begins."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-def mechanics(scene: Scene, threads: int) -> Mechanics:
+def mechanics_of(scene: Scene, threads: int) -> Mechanics:
     """Return the mechanics that a scene asks for."""
     friction = scene.friction
     return Mechanics(
@@ -34,8 +34,8 @@ def mechanics(scene: Scene, threads: int) -> Mechanics:
     )
 
 
-def separate(scene: Scene, cells: Cells) -> Cells:
-    """Move cells apart whose centres coincide: between them no force has a direction.
+def apart_at_start(scene: Scene, cells: Cells) -> Cells:
+    """Return cells of which none coincide: between centres at one place no force has a direction.
 
     Each but one of them moves by a millionth of its radius along a random direction; the
     contact forces do the rest.

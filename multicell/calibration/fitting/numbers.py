@@ -1,4 +1,4 @@
-"""The result of a fit."""
+"""The numbers of a fit: best parameters, posterior, predictions, residuals, runs."""
 
 from __future__ import annotations
 
@@ -34,9 +34,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from multicell.calibration.fitting.likelihood import Checks
-    from multicell.calibration.fitting.plots import FitPlots
-    from multicell.calibration.fitting.predictive import PredictiveCheck
-    from multicell.calibration.fitting.profile import LikelihoodProfile
     from multicell.measured.data import Datum
     from multicell.scene.scene import Scene
 
@@ -78,21 +75,9 @@ class Best:
         return self._fitted.with_changes(self.settings)
 
 
-@final
 @dataclass(frozen=True, eq=False)
-class Fit:
-    """Parameters of a scene, fitted to data; :func:`multicell.fit` makes it.
-
-    - ``problem``: data, ranges and what simulates
-    - ``scene``: what was fitted
-    - ``evaluations``: all parameters that the search tried
-    - ``folder``: of the results, or None
-    - ``facts``: how the fit was made: numbers of runs, seconds
-    - ``fresh``: what runs with fresh seeds have shown at the best point and at draws from the
-      intervals
-    - ``readings``: what each run of the search and each fresh one has in place of its data, by
-      place in the ranges, condition and seed; :attr:`runs` is a table of them
-    """
+class FitNumbers:
+    """Numbers of a fit, without pages and pictures; fields: :class:`multicell.Fit`."""
 
     problem: FitProblem
     scene: Scene
@@ -160,20 +145,6 @@ class Fit:
         """Return a central credible interval of each parameter by its name, base units."""
         return intervals(self.problem.ranges, self.some_sample(), level)
 
-    def profile(self, name: str, points: int = 41) -> LikelihoodProfile:
-        """Return the profile likelihood of a parameter, by its name or key.
-
-        Raises
-        ------
-        SceneError
-            For a parameter that the fit does not have.
-        FitFailed
-            If there is no likelihood.
-        """
-        from multicell.calibration.fitting.profile import profile_of
-
-        return profile_of(self, name, points)
-
     def to_xarray(self) -> xr.Dataset:
         """Return the posterior as a data set: draws by name, with units and ranges.
 
@@ -198,24 +169,6 @@ class Fit:
             coords={"chain": [0], "draw": np.arange(len(shares))},
             attrs={"scene": self.scene.title or "", "chi_squared": self.best.chi_squared},
         )
-
-    def to_arviz(self) -> Any:
-        """Return the posterior, its log-likelihood and the data as ArviZ takes them.
-
-        An ``InferenceData`` of ArviZ below 1, a ``DataTree`` of xarray from 1 on. Groups are
-        ``posterior``, ``log_likelihood`` (of all data together), ``posterior_predictive`` and
-        ``observed_data`` (base units).
-
-        Raises
-        ------
-        MissingPackage
-            Without ArviZ.
-        FitFailed
-            If there is no posterior.
-        """
-        from multicell.calibration.fitting.to_arviz import to_arviz
-
-        return to_arviz(self)
 
     @cached_property
     def chance(self) -> float:
@@ -296,19 +249,6 @@ class Fit:
         assert self.fresh.checks is not None
         own = np.sqrt(self.fresh.likelihood.predict(self.sample)[1].mean(axis=0))
         return own, self.fresh.checks.found
-
-    def predictive_check(self) -> PredictiveCheck:
-        """Return posterior predictive checks: whether data like these come from the posterior.
-
-        Raises
-        ------
-        FitFailed
-            If there is no posterior.
-        """
-        from multicell.calibration.fitting.predictive import predictive_check
-
-        needs("pandas")
-        return predictive_check(self)
 
     def residuals(self) -> pd.DataFrame:
         """Return the data one by one: where, when, measured, in the runs, and how far apart."""
@@ -415,63 +355,6 @@ class Fit:
         if absent:
             notes.append(f"The best runs have nothing in place of {absent} of the data.")
         return notes
-
-    @property
-    def plot(self) -> FitPlots:
-        """Pictures: ``plot()`` shows data and runs, ``plot.parameters()`` the posterior."""
-        from multicell.calibration.fitting.plots import FitPlots
-
-        return FitPlots(self)
-
-    def report(self, folder: str | Path | None = None) -> Path:
-        """Write ``report.html`` with its pictures, and return the path of the page.
-
-        Raises
-        ------
-        OutputError
-            If there is no folder, or it cannot be written to.
-        """
-        from multicell.calibration.fitting.page import write_fit_report
-
-        return write_fit_report(self, folder)
-
-    def summary(self) -> dict[str, Any]:
-        """Return the result as plain values."""
-        best = self.best
-        known, checked = {}, None
-        if self.sample is not None:
-            known, check = self.intervals(), self.predictive_check()
-            checked = {x: getattr(check, x) for x in ("chi_squared", "largest", "outside")}
-        parameters = {}
-        for free in self.problem.ranges:
-            found = known.get(free.name)
-            parameters[free.key] = {
-                "name": free.name,
-                "unit": free.unit,
-                "best": best.values[free.key],
-                "median": found and found.median,
-                "interval": found and [found.low, found.high],
-                "part_of_range": found and found.part,
-                "range": [free.low, free.high],
-                "log": free.log,
-            }
-        return {
-            "parameters": parameters,
-            "chi_squared": best.chi_squared,
-            "chi_squared_per_datum": best.per_datum,
-            "chi_squared_chance": self.chance,
-            "fits": not self.misfit,
-            "contradictions": self.contradictions,
-            "data": len(best.residuals),
-            "undetermined": [
-                {"names": list(u.names), "kind": u.kind, "words": u.words}
-                for u in self.undetermined
-            ],
-            "predictive_check": checked,
-            "residuals": self.rows(),
-            "notes": self.notes,
-            **self.facts,
-        }
 
     def some_sample(self) -> Array:
         """Return the draws of :attr:`sample`; raises FitFailed where there are none."""

@@ -15,10 +15,8 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import Cells, FloatArray, Phase, State
+from multicell.cells import Cells, FloatArray, Mask, Phase, State
 from multicell.vectors import lengths, squares
-
-Mask = NDArray[np.bool_]
 
 FEWEST: Final = 8.0
 """Cells by which a region must outnumber the others in it. Where four of five cells are others, so
