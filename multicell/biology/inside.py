@@ -369,7 +369,8 @@ class Networks:
         threads: int = 1,
         *,
         next_id: int,
-    ) -> None:
+        waiting: Mapping[str, FloatArray] | None = None,
+    ) -> FloatArray | None:
         """Bring the networks of cells through a step from ``begin`` to ``end`` (s).
 
         - ``cells``: at its end; ``inside`` is that of its beginning, or of their mothers
@@ -377,12 +378,18 @@ class Networks:
         - ``find``: returns what cells find at its end; None: inputs are extrapolated
         - ``held``: signals that jump at the end, before which they were as at the beginning
         - ``next_id``: first identity that is free
+        - ``waiting``, network -> (n, 4): what cells wait for
+          (:func:`multicell.biology.waiting.watched`)
+
+        Returns at which part of the step that comes true, (n,); infinite where it does not, None
+        where nothing is waited for.
         """
         assert cells.inside is not None
         first = cells.inside
         step = _Step(cells, began, begin, end, next_id)
+        met: FloatArray | None = None
         for _ in range(1 + (self._twice and find is not None)):
-            known = cells.inside
+            known, met = cells.inside, None
             for part in self.parts.values():
                 if find is not None:
                     u = part.inputs(cells, find(cells))
@@ -393,8 +400,12 @@ class Networks:
                     # a cell that has just become one of its type has no slopes
                     u = np.where(np.isnan(u), np.array(part.model.defaults), u)
                 known = known.copy()
-                self._advance(part, step, first, known, u, held, threads)
+                own = (waiting or {}).get(part.name)
+                found = self._advance(part, step, first, known, u, held, threads, own)
                 cells.inside = known
+                if found is not None:  # a cell waits for one network at a time
+                    met = found if met is None else np.minimum(met, found)
+        return met
 
     def _advance(
         self,
@@ -405,8 +416,9 @@ class Networks:
         u: FloatArray,
         held: Collection[str],
         threads: int,
-    ) -> None:
-        """Write what becomes of one network in all cells."""
+        waiting: FloatArray | None,
+    ) -> FloatArray | None:
+        """Write what becomes of one network in all cells; return when it is what they wait for."""
         from multicell.networks.solver import NetworkFailed
 
         cells, own = step.cells, slice(part.begin, part.begin + len(part.columns))
@@ -418,8 +430,9 @@ class Networks:
             out[rows, own] = 0.0
             part.write(out, rows, self._new(part, cells.id[rows], u[rows]), u[rows])
         rows = np.flatnonzero(has & ~fresh & ~cells.dead)
+        met = None if waiting is None else np.full(len(cells), np.inf)
         if not rows.size:
-            return
+            return met
         born = step.born[rows]
         inside, before = part.read(first[rows], step.mother[rows])
         start_u = before.copy()
@@ -432,6 +445,9 @@ class Networks:
         scale = 1.0 / part.seconds
         start, length = step.begin * scale, (step.end - step.begin) * scale
         growth = step.growth[rows] / length
+        if waiting is not None:
+            waiting = waiting[rows]
+            waiting[:, 3] = start + length * waiting[:, 3]
         try:
             if born.any():
                 since = step.since[rows]
@@ -460,16 +476,61 @@ class Networks:
                     length * np.where(born, 1.0 - since, 1.0),
                     growth=growth,
                     diluted=part.diluted,
+                    waiting=waiting,
                 )
             else:
                 inside = solver.advance(
-                    inside, before, after, start, length, growth=growth, diluted=part.diluted
+                    inside,
+                    before,
+                    after,
+                    start,
+                    length,
+                    growth=growth,
+                    diluted=part.diluted,
+                    waiting=waiting,
                 )
         except NetworkFailed as failure:
             raise _failed(part, failure, ids) from None
         part.write(out, rows, inside, u[rows])
         if part.slopes.stop > part.slopes.start:
             out[rows, part.slopes] = (after - start_u) / (step.end - step.begin)
+        if met is not None and inside.met is not None:
+            met[rows] = np.clip((inside.met - start) / length, 0.0, np.inf)
+        return met
+
+    def divided(
+        self,
+        daughters: Cells,
+        mothers: Cells,
+        rows: IntArray,
+        began: Cells,
+        signals: Signals,
+        begin: float,
+        end: float,
+        held: Collection[str] = (),
+        *,
+        next_id: int,
+    ) -> None:
+        """Set the networks of daughters of a step once those of their mothers are known.
+
+        - ``mothers``: cells that have divided, and others, at the end of the step
+        - ``rows``, (n,): of the mother of each daughter among them
+        - ``began``: cells at the beginning of the step
+        - ``signals``: what ``mothers`` find at its end
+        """
+        assert began.inside is not None
+        assert mothers.inside is not None
+        own = {x for x in signals if "." in x and OF_NEIGHBOURS not in x}
+        around = {name: values[rows] for name, values in signals.items()}
+
+        def find(cells: Cells) -> Signals:
+            return {**around, **self.signals(own, cells, end, lambda: np.empty((0, 2), np.int64))}
+
+        daughters.inside = began.inside[began.rows_of(daughters.parent)]
+        self.advance(daughters, began, find, begin, end, held, next_id=next_id)
+        for part in self.parts.values():  # what fields have found is the mothers' still
+            places = slice(part.slopes.stop, part.begin + len(part.columns))
+            daughters.inside[:, places] = mothers.inside[rows, places]
 
     def _inherited(
         self, part: PlacedNetwork, inside: Inside, step: _Step, rows: IntArray
