@@ -13,7 +13,7 @@ from multicell.report.plots.colour_vision import PALE
 from multicell.report.wording import time_unit
 
 if TYPE_CHECKING:
-    from multicell.comparison.result import WorkPrecision
+    from multicell.comparison.precision import Precision
 
 VERDICT_NORMS: Final = (
     "position",
@@ -22,6 +22,8 @@ VERDICT_NORMS: Final = (
     "worst_cell_median",
     "energy",
     "gyration",
+    "state",
+    "state_median",
 )
 """Norms in which the page gives the time to reach an error."""
 
@@ -36,7 +38,29 @@ CAPTIONS: Final = {
 }
 
 
-def comparison_context(result: WorkPrecision) -> dict[str, Any]:
+CELL_NOTE: Final = (
+    "Times in s; errors of the positions (root mean square over the cells) and of the worst cell, "
+    "each the largest over the times or steps, in mean radii and µm; beside it the median step's "
+    "worst cell over that after a shift of all positions; cost in evaluations, where a "
+    "linearisation counts 2 and a product J·v 0.65."
+)
+"""Note of the table of all solves, and its columns: of the result's table -> title, format."""
+CELL_COLUMNS: Final = {
+    "wall": ("wall", "{:.3g}"),
+    "cpu": ("processor", "{:.3g}"),
+    "error_position": ("error", "{:.2e}"),
+    "error_worst_cell": ("worst cell", "{:.2e}"),
+    "worst_cell_um": ("worst cell / µm", "{:.2e}"),
+    "worst_cell_over_shift": ("median step / shift", "{:.2g}"),
+    "cost": ("cost", "{:,.0f}"),
+    "evaluations": ("evaluations", "{:,.0f}"),
+    "linearisations": ("linearisations", "{:,.0f}"),
+    "jacobian_products": ("J·v", "{:,.0f}"),
+    "steps": ("steps", "{:,.0f}"),
+}
+
+
+def comparison_context(result: Precision) -> dict[str, Any]:
     """Return the fields of ``compare.html``."""
     return {
         "title": f"{result.title}: work and precision",
@@ -44,9 +68,11 @@ def comparison_context(result: WorkPrecision) -> dict[str, Any]:
         "tiles": _tiles(result),
         "verdict": " ".join(result.verdict(error) for error in (0.01, 0.001)),
         "judge": CLOCKS[result.clock],
+        "judged": result.norms[result.main],
         "verdicts": {
             norm: {f"{target:.4g}": result.within(target, norm) for target in TARGETS}
             for norm in VERDICT_NORMS
+            if norm in result.uncertainty
         },
         "uncertainty": {
             result.norms[norm]: f"{value:.2e}" for norm, value in result.uncertainty.items()
@@ -55,11 +81,13 @@ def comparison_context(result: WorkPrecision) -> dict[str, Any]:
         "styles": appearance(result),
         "pale": PALE,
         "conditioning": _conditioning(result),
+        "note": result.shown()[0],
+        "columns": result.shown()[1],
         "below": [(row["method"], row["setting"]) for row in result.below_floor()],
     }
 
 
-def _conditioning(result: WorkPrecision) -> dict[str, str]:
+def _conditioning(result: Precision) -> dict[str, str]:
     """Return the effect of a shift of all positions on the ends of the steps; none of a run."""
     known = result.conditioning
     if known is None:
@@ -79,7 +107,7 @@ def _conditioning(result: WorkPrecision) -> dict[str, str]:
     }
 
 
-def _subtitle(result: WorkPrecision) -> str:
+def _subtitle(result: Precision) -> str:
     facts = result.facts
     if result.stepwise:
         compared = f"{facts['mode']}, each from the same recorded state for every method"
@@ -91,10 +119,10 @@ def _subtitle(result: WorkPrecision) -> str:
     return f"{compared} · reference: {facts['reference']} · threads: {facts['threads']}"
 
 
-def _tiles(result: WorkPrecision) -> dict[str, str]:
+def _tiles(result: Precision) -> dict[str, str]:
     facts = result.facts
     first, last = facts["cells"]
-    known = result.conditioning
+    known, quantity = result.conditioning, result.measures()[result.main].quantity
     shift = {}
     if known is not None:
         title = f"worst cell after a shift of {known.shift:g} µm"
@@ -105,13 +133,13 @@ def _tiles(result: WorkPrecision) -> dict[str, str]:
         "methods": f"{len(result.methods)}",
         "solves that failed": f"{len(result.failures())} of {len(result.table)}",
         "largest decay rate × time": f"{facts['largest_decay_rate'] * facts['time']:,.0f}",
-        "uncertainty of positions": f"{result.uncertainty['position']:.1e}",
+        f"uncertainty of {quantity}": f"{result.uncertainty[result.main]:.1e}",
         "uncertainty of the worst cell": f"{result.uncertainty['worst_cell']:.1e}",
         **shift,
     }
 
 
-def _orders(result: WorkPrecision) -> dict[str, str]:
+def _orders(result: Precision) -> dict[str, str]:
     """Return the measured order of the methods with a fixed step."""
     fixed = dict.fromkeys(r["method"] for r in result.table if r["control"] == "step")
     orders = {method: result.order(method, finest=5) for method in fixed}

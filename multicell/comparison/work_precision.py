@@ -18,9 +18,10 @@ from multicell.comparison.ladders import (
 from multicell.comparison.measure import Effort, TimedPoint, climb, time_again
 from multicell.comparison.measured import Measurements, named_only, open_measurements
 from multicell.comparison.norms import Metric, norms_with
+from multicell.comparison.precision import NUMBERS_FILE
 from multicell.comparison.record import sample_size
 from multicell.comparison.reference import Reference, method_pair, reference, unsolved_problem
-from multicell.comparison.result import COMPARISON_FILES, NUMBERS_FILE, WorkPrecision
+from multicell.comparison.result import COMPARISON_FILES, WorkPrecision
 from multicell.comparison.styles import unregistered_styles
 from multicell.errors import SceneError
 from multicell.integrators.base import Integrator

@@ -41,8 +41,9 @@ CELL_STEP, IMPLICITLY, EVIDENCE, REMEMBERED = range(4)
 """Places in the memory of a cell: length of its next step (0: none yet), whether it takes
 Rosenbrock steps, steps that spoke for the other kind; after these the conditions of its events."""
 
-CELL_STEPS, CELL_REJECTIONS, STIFF, FIRED, WORK = range(5)
-"""Places in what is counted of a cell: accepted and rejected steps, Rosenbrock steps, events."""
+CELL_STEPS, CELL_REJECTIONS, STIFF, FIRED, EVALUATIONS, WORK = range(6)
+"""Places in what is counted of a cell: accepted and rejected steps, Rosenbrock steps, events,
+evaluations of the rates; how many there are."""
 
 _STIFF = 3.0  # h |λ| at which the explicit pair is at the limit of its stability
 _SURE = 4.0  # steps in a row that speak for the other kind
@@ -60,7 +61,7 @@ class Batch(NamedTuple):
       both ends
     - ``growth`` (n,): d ln(volume)/dt over the step
     - ``start``, ``span`` (n,): when the step of each cell begins, and its length
-    - ``memory`` (n, 3 + k), ``work`` (n, 4), ``status`` (n,), ``reached`` (n,): where it ended
+    - ``memory`` (n, 3 + k), ``work`` (n, 5), ``status`` (n,), ``reached`` (n,): where it ended
     """
 
     y: FloatArray
@@ -183,6 +184,7 @@ def _cut_at_event(common, here, rosenbrock, explicit, implicit, rules, t, h, y, 
     conditions = memory[REMEMBERED:]
     # the rates at the end are not needed where nothing but the cubic would ask for them
     evaluate_network(common, here, t + h, s.trial, s.u, s.slope)
+    s.calls[0] += 1
     x = _rises_at(common, here, rules, t, h, y, s, conditions, s.point, s.slope)
     if x > 1.0:
         return h, False
@@ -244,6 +246,7 @@ def _through(common, here, rosenbrock, explicit, rules, control, y, memory, work
         implicit = memory[IMPLICITLY] == 1.0
         if not known:
             evaluate_network(common, here, t, y, s.u, s.f)
+            s.calls[0] += 1
             known = fresh = True
             if not _finite(s.f):
                 return CELL_NOT_FINITE, t
@@ -342,3 +345,4 @@ def advance_cells(
             events,
         )
         batch.status[i], batch.reached[i] = status, t
+        batch.work[i, EVALUATIONS], s.calls[0] = s.calls[0], 0

@@ -15,8 +15,40 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-STABILITY_FILES: Final = ("stability.csv", "limits.csv", "stability.png", "report.html")
-"""What a study of stability writes into its folder."""
+STABILITY_FILES: Final = (
+    "stability.csv",
+    "limits.csv",
+    "moments.csv",
+    "stability.png",
+    "report.html",
+)
+"""What a study of stability writes into its folder; only of networks there is ``moments.csv``."""
+
+
+@final
+@dataclass(frozen=True)
+class StabilityWords:
+    """Words of a map of stability.
+
+    - ``ends``: kind of end of a trial -> what it means
+    - ``tolerance``: what a tolerance is; ``subtitle``, ``note``: of the page
+    """
+
+    ends: Mapping[str, str]
+    tolerance: str
+    subtitle: str
+    note: str
+
+
+OF_CELLS: Final = StabilityWords(
+    ends=TRIAL_ENDS,
+    tolerance="tolerance / mean radius",
+    subtitle="The cells settle, are pushed a little along their stiffest mode, and must come to "
+    "rest again.",
+    note="Of a method under error control the loosest tolerance in mean radii is given, and its "
+    "mean step there over Euler's limit.",
+)
+"""Words of the map of methods for positions."""
 
 
 @final
@@ -35,12 +67,15 @@ class StabilityMap(Comparison):
         ``kind`` (a key of :data:`multicell.comparison.stability_limits.trial.TRIAL_ENDS`),
         ``words`` (what was seen), ``steps``, ``wall`` (s).
     facts : dict
-        ``precision`` of the bisection, ``wall`` (s), ``versions``.
+        ``precision`` of the bisection, ``wall`` (s), ``versions``; of a network also ``moments``:
+        for each coupling step that is tried the largest |λ| and how long fixed steps may be.
+    words : StabilityWords
     """
 
     scene: Scene
     table: list[Row]
     facts: dict[str, Any]
+    words: StabilityWords = OF_CELLS
 
     template: ClassVar[str] = "stability.html"
 
@@ -92,7 +127,10 @@ class StabilityMap(Comparison):
 
     def tables(self) -> Mapping[str, Sequence[Row]]:
         """Return all trials, and the limits."""
-        return {"stability.csv": self.table, "limits.csv": self.limits()}
+        found = {"stability.csv": self.table, "limits.csv": self.limits()}
+        if "moments" in self.facts:
+            found["moments.csv"] = self.facts["moments"]
+        return found
 
     def pictures(self) -> Pictures:
         """Return the map."""
