@@ -2,8 +2,8 @@
 
 Of each step the cells that live through it undivided are noted: what their networks begin with, the
 inputs at both ends, and how fast the cells grow. Every method starts from the same states and meets
-the same inputs. In a run each cell remembers its last step; so here a step is solved twice, and the
-second solve, which begins with what the first has learned, is the one that counts.
+the same inputs. In a run each cell remembers its last step; so here the coupling step before each
+of them is solved first, which does not count but for what cells remember of it.
 """
 
 from __future__ import annotations
@@ -30,7 +30,9 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 MOST_CELLS: Final = 100
-"""Cells of a coupling step that are compared at most, spread evenly over all."""
+"""Cells of a coupling step that are compared at most; the same ones in all as long as they live."""
+
+_MIXING: Final = 2654435761  # Knuth's: cells of near identities are as good as drawn
 
 SURE: Final = 1e-10
 """Tolerance of the reference."""
@@ -40,12 +42,13 @@ SURE: Final = 1e-10
 class NetworkStep(NamedTuple):
     """A network in some cells through one coupling step, in its own unit of time.
 
-    - ``time``, s: when it begins
+    - ``time``, s: when it begins; ``ids``, (n,): of the cells
     - ``inside``: n cells at the beginning; ``before``, ``after``, (n, m): inputs at both ends
     - ``start``, ``span``, ``growth``, (n,): as :meth:`NetworkSolver.advance` takes them
     """
 
     time: float
+    ids: IntArray
     inside: Inside
     before: FloatArray
     after: FloatArray
@@ -60,12 +63,19 @@ class NetworkProblem:
     """The steps that are compared.
 
     - ``part``: the network, as the scene has it
-    - ``steps``, and ``total``: how many the run has
+    - ``steps``; ``before``: the one before each of them, None where the run begins
+    - ``total``: how many the run has
     """
 
     part: PlacedNetwork
     steps: list[NetworkStep]
+    before: list[NetworkStep | None]
     total: int
+
+    def parts(self) -> list[NetworkProblem]:
+        """Return each of the steps as a problem of its own."""
+        pairs = zip(self.steps, self.before, strict=True)
+        return [replace(self, steps=[step], before=[before]) for step, before in pairs]
 
     @property
     def cells(self) -> list[int]:
@@ -139,20 +149,21 @@ def record_network(
     simulation = Simulation(scene, threads=threads)
     networks = simulation.plan.networks
     assert networks is not None
-    part, steps = networks.parts[name], []
+    part, steps, last = networks.parts[name], [], None
     while not simulation.finished:
         begin, time = simulation.cells, simulation.time
         simulation.step()
         found = _step(part, begin, simulation.cells, time, simulation.time)
         if found is not None:
-            steps.append(found)
+            steps.append((last, found))
+        last = found
     if not steps:
         problem = f"has {name!r} in no cell that lives through a coupling step"
         raise SceneError("networks", problem, "Look at its cells, and at the duration.")
     # from the middles of equal parts of the run
     count = min(samples, len(steps))
     chosen = [steps[int((k + 0.5) * len(steps) / count)] for k in range(count)]
-    return NetworkProblem(part, chosen, len(steps))
+    return NetworkProblem(part, [x for _, x in chosen], [x for x, _ in chosen], len(steps))
 
 
 def _step(
@@ -169,14 +180,17 @@ def _step(
     there, last = there[stays], last[stays]
     if not len(there):
         return None
-    some = np.unique(np.linspace(0, len(there) - 1, MOST_CELLS).round().astype(int))
+    mixed = begin.id[there].astype(np.uint64) * np.uint64(_MIXING) % np.uint64(2**32)
+    some = np.sort(np.argsort(mixed, kind="stable")[:MOST_CELLS])
     there, last = there[some], last[some]
     inside, before = part.read(begin.inside[there], begin.id[there])
     _, after = part.read(end.inside[last], end.id[last])
     inside.memory[:, :REMEMBERED] = 0.0
     span = (until - time) / part.seconds
     growth = 3.0 * np.log(end.radius[last] / begin.radius[there]) / span
-    return NetworkStep(time, inside, before, after, time / part.seconds, span, growth)
+    return NetworkStep(
+        time, begin.id[there], inside, before, after, time / part.seconds, span, growth
+    )
 
 
 @final
@@ -211,21 +225,25 @@ def solve_steps(
     def run(steps: Sequence[NetworkStep], patience: float) -> NetworkRun:
         return _run(problem.part, steps, problem.solver(method, setting), patience)
 
-    first = run(problem.steps, patience)
-    if first.problem or METHODS[method].fixed:
-        return first, lambda: run(problem.steps, math.inf)
-    steps = [
-        step._replace(inside=_remembering(step.inside, end))
-        for step, end in zip(problem.steps, first.ends, strict=True)
-    ]
+    if METHODS[method].fixed:
+        return run(problem.steps, patience), lambda: run(problem.steps, math.inf)
+    earlier = [step for step in problem.before if step is not None]
+    first = run(earlier, patience)
+    if first.problem:
+        return first, lambda: first
+    ends, steps = iter(first.ends), []
+    for step, before in zip(problem.steps, problem.before, strict=True):
+        known = step if before is None else _remembering(step, before.ids, next(ends))
+        steps.append(known)
     return run(steps, patience), lambda: run(steps, math.inf)
 
 
-def _remembering(inside: Inside, end: Inside) -> Inside:
-    """Return cells that remember what they knew at the end; conditions of events stay."""
-    memory = inside.memory.copy()
-    memory[:, :REMEMBERED] = end.memory[:, :REMEMBERED]
-    return replace(inside, memory=memory)
+def _remembering(step: NetworkStep, ids: IntArray, end: Inside) -> NetworkStep:
+    """Return a step whose cells remember what those of the step before knew at its end."""
+    memory = step.inside.memory.copy()
+    _, own, other = np.intersect1d(step.ids, ids, return_indices=True)
+    memory[own, :REMEMBERED] = end.memory[other, :REMEMBERED]
+    return step._replace(inside=replace(step.inside, memory=memory))
 
 
 def _run(

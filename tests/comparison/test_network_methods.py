@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from alarcon import alarcon_scene
+from alarcon import START, alarcon, alarcon_scene
 from click.testing import CliRunner
 
 import multicell as mc
@@ -16,10 +16,10 @@ from multicell.comparison.network_precision import NETWORK_FILES, compare_networ
 from multicell.comparison.network_reference import cvode_end, largest_rates
 from multicell.comparison.network_steps import record_network, solve_steps
 from multicell.comparison.stability_limits.networks import network_stability
-from multicell.comparison.stability_limits.trial import BLOW_UP, STABLE
+from multicell.comparison.stability_limits.trial import BLOW_UP
 from multicell.errors import SceneError
 from multicell.networks.custom import network
-from multicell.networks.solver import NetworkSolver
+from multicell.networks.solver import NetworkFailed, NetworkSolver
 from multicell.results.documents import Lines
 
 STILL = {"duration": "1 h", "initial.count": 3, "growth": None, "output.every": "1 h"}
@@ -166,26 +166,21 @@ def test_fixed_steps_fail_in_the_oxygen_cell_cycle():
     assert limit["limit"] == pytest.approx(limit["theory"], rel=0.15)
     assert limit["limit"] < 2.0  # s, where the coupling step has 600
     assert BLOW_UP in limit["kinds"]
-    assert result.limit("auto")["kind"] == STABLE
+    assert result.limit("auto")["limit"] >= 1e-3
     steps = [moment["rk4"] for moment in result.facts["moments"]]
     assert max(steps) > 10.0 * min(steps)
 
 
 def test_fixed_steps_of_a_fiftieth_of_a_minute_lose_the_oxygen_cell_cycle():
-    from alarcon import START, alarcon
-
     # a normal cell at full oxygen goes through the switch where Cdh1 falls to nothing
-    ends = {}
-    for method, length in (("rodas4", 0.0), ("rk4", 0.02), ("rk4", 0.002)):
-        solver = NetworkSolver(alarcon, method=method, relative=1e-9, length=length)
-        begin, u = solver.begin(1), np.ones((1, 1))
-        try:
-            ends[method, length] = solver.advance(begin, u, u, 0.0, 600.0).y[0]
-        except Exception as failure:
-            ends[method, length] = failure
-    exact = ends["rodas4", 0.0]
+    begin, u = NetworkSolver(alarcon).begin(1), np.ones((1, 1))
+    sure = NetworkSolver(alarcon, method="rodas4", relative=1e-9)
+    exact = sure.advance(begin, u, u, 0.0, 600.0).y[0]
     assert exact[list(START).index("Cdh1")] < 0.004
-    print(ends)
+    with pytest.raises(NetworkFailed, match="no finite number"):
+        NetworkSolver(alarcon, method="rk4", length=0.02).advance(begin, u, u, 0.0, 600.0)
+    loose = NetworkSolver(alarcon).advance(begin, u, u, 0.0, 600.0).y[0]
+    np.testing.assert_allclose(loose, exact, rtol=5e-3)
 
 
 def test_what_cannot_be_compared_is_refused_with_a_hint():
@@ -193,8 +188,8 @@ def test_what_cannot_be_compared_is_refused_with_a_hint():
         compare_networks(mc.load_scene("growth"))
     with pytest.raises(SceneError, match="has no 'm'"):
         compare_networks(SMOOTH, "m")
-    with pytest.raises(SceneError, match="Did you mean 'rodas3'"):
-        compare_networks(SMOOTH, methods=["rodas"])
+    with pytest.raises(SceneError, match="Did you mean 'rodas4'"):
+        compare_networks(SMOOTH, methods=["rodas44"])
     with pytest.raises(SceneError, match=r"ladder\.heun"):
         compare_networks(SMOOTH, ladder={"heun": [1.0]})
     two = SMOOTH.with_changes({"networks.other": {"network": quick}})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, final
@@ -135,8 +135,7 @@ def _trials(
     problem = record_network(scene, name, MOMENTS, threads, tell)
     tell("reference")
     exact = network_reference(problem)
-    parts = [replace(problem, steps=[step]) for step in problem.steps]
-    return _Trials(parts, exact.states, largest_rates(problem), patience)
+    return _Trials(problem.parts(), exact.states, largest_rates(problem), patience)
 
 
 @final

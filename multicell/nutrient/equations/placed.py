@@ -19,6 +19,10 @@ from multicell.nutrient.steady import SolveReport
 from multicell.nutrient.uptake import uptake_and_slope
 
 
+_Spread = tuple[FloatArray, FloatArray, float]
+_Course = tuple[float, float, _Spread, _Spread]
+
+
 @final
 class PlacedSubstance:
     """A substance on a grid.
@@ -64,14 +68,50 @@ class PlacedSubstance:
         self.layout, self.shape = layout, layout.shape
         if self._scaled != (layout.shape, layout.spacing):
             self._scale()
+        self.sink, self.secreted, self._production = self._spread(
+            position, radius, capacity, production
+        )
+        self._gained: tuple[float, FloatArray] | None = None
+        self._course: _Course | None = None
+
+    def _spread(
+        self,
+        position: FloatArray,
+        radius: FloatArray | None,
+        capacity: FloatArray | None,
+        production: FloatArray | None,
+    ) -> _Spread:
+        """Return what cells take up at most and secrete at nodes, mM/s, and secrete in all."""
         cells = position, radius
         capacity = np.zeros(len(position)) if capacity is None else capacity
-        self.sink = self.spread(*cells, capacity, "capacity")
-        self.secreted, self._production = np.zeros(self.shape), 0.0
-        if production is not None:
-            self.secreted = self.spread(*cells, production, "production")
-            self._production = float(np.sum(production))
-        self._gained: tuple[float, FloatArray] | None = None
+        sink = self.spread(*cells, capacity, "capacity")
+        if production is None:
+            return sink, np.zeros(self.shape), 0.0
+        return sink, self.spread(*cells, production, "production"), float(np.sum(production))
+
+    def change_demand(
+        self,
+        position: FloatArray,
+        radius: FloatArray | None,
+        capacity: FloatArray,
+        production: FloatArray | None,
+        begin: float,
+        end: float,
+    ) -> None:
+        """Let demand go linearly from this one at ``begin`` to what it is at ``end`` (s)."""
+        first = self._spread(position, radius, capacity, production)
+        self._course = begin, end, first, (self.sink, self.secreted, self._production)
+
+    def set_time(self, t: float) -> None:
+        """Take the demand of a time in s, where it changes."""
+        if self._course is None:
+            return
+        begin, end, first, last = self._course
+        part = (t - begin) / (end - begin)
+        self.sink, self.secreted, self._production = (
+            (1.0 - part) * one + part * other for one, other in zip(first, last, strict=True)
+        )
+        self._gained = None
 
     def _scale(self) -> None:
         """Renew what depends on the number of nodes and their distance."""
