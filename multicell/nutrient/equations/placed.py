@@ -18,7 +18,6 @@ from multicell.nutrient.spherical import Shells
 from multicell.nutrient.steady import SolveReport
 from multicell.nutrient.uptake import uptake_and_slope
 
-
 _Spread = tuple[FloatArray, FloatArray, float]
 _Course = tuple[float, float, _Spread, _Spread]
 
