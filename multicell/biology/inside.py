@@ -7,9 +7,9 @@ runs treat it as they treat any column. It is NaN in cells without the network.
 
 In a coupling step the fields are solved first; then inputs are known at both ends and go linearly
 between them, those that are transient fields between as many moments of the step as they need. A
-cell that was born in the step is its mother until then. A network whose inputs hang on what networks of neighbours are at the
-end of the step is solved twice, the second time with what the first one found: both ways are of
-second order.
+cell that was born in the step is its mother until then. A network whose inputs hang on what
+networks of neighbours are at the end of the step is solved twice, the second time with what the
+first one found: both ways are of second order.
 """
 
 from __future__ import annotations
@@ -248,6 +248,8 @@ class Networks:
             for name, part in scene.networks.items()
             for field in part.fluxes or ()
         }
+        self._scene = scene
+        self._given: tuple[IntArray, Mapping[str, FloatArray]] | None = None
         self.change_fields = networks_change_fields(scene)
         self._twice = any(OF_NEIGHBOURS in name for name in self.needs)
 
@@ -286,6 +288,8 @@ class Networks:
 
         - ``find``: returns what cells find; absent while there are no fields
         """
+        if self._given is None:
+            self._given = self._given_in(cells)
         for part in self.parts.values():
             rows = np.flatnonzero(part.has(cells))
             u = None if find is None else part.inputs(cells, find(cells))[rows]
@@ -294,6 +298,7 @@ class Networks:
                 u = np.tile(np.array(part.model.defaults, dtype=float), (len(rows), 1))
             elif part.part.start == "steady":
                 inside = self._settled(part, inside, u, cells.id[rows], time)
+            self._take_given(part, inside, cells.id[rows])
             # what comes later finds it: other networks, and those of neighbours
             known = cells.inside
             shape = len(cells), len(self.columns)
@@ -302,6 +307,38 @@ class Networks:
             whole[rows, own] = 0.0  # nothing has changed yet
             part.write(whole, rows, inside, u)
             cells.inside = whole
+
+    def _given_in(self, cells: Cells) -> tuple[IntArray, Mapping[str, FloatArray]]:
+        """Return the identities of the first cells, and values of networks that are given.
+
+        Raises SceneError for cells with other networks than those of the scene.
+        """
+        from multicell.scene.start_table import inside_of
+
+        if cells.inside is not None:
+            return cells.id, inside_of(self._scene, cells)
+        table = self._scene.initial.cells
+        if table is None or not table.given.inside:
+            return cells.id, {}
+        return table.given.columns.get("id", np.arange(len(table.given))), table.given.inside
+
+    def _take_given(self, part: PlacedNetwork, inside: Inside, ids: IntArray) -> None:
+        """Set the values that are given of the first cells."""
+        assert self._given is not None
+        known, given = self._given
+        if not given:
+            return
+        order = np.argsort(known)
+        row = order[np.searchsorted(known, ids, sorter=order)]
+        for name, values in given.items():
+            network, _, of = name.partition(".")
+            if network != part.name:
+                continue
+            names = (part.model.states, part.model.parameters)
+            place = next(k for k in (0, 1) if of in names[k])
+            column = (inside.y, inside.p)[place][:, names[place].index(of)]
+            own = values[row]
+            column[:] = np.where(np.isnan(own), column, own)
 
     def fluxes(
         self, field: str, cells: Cells, time: float

@@ -153,6 +153,7 @@ const turned = (rgb) => TURN.map((row) => {
 let onPaper = false;  // which is white at night too
 const paletteOf = (entry) => (night.matches && !onPaper && columnOf[entry.name].words ? entry.palette.map(turned) : entry.palette);
 night.addEventListener("change", () => show(shown));
+const GAP = 0xd5 | (0xdb << 8) | (0xe0 << 16);  // of a cell without a value
 let shown = 0, colouring = about.colourings[0].name, pending = false;
 function fillColours() {
   const column = columnOf[colouring], values = columnsAt(shown)[colouring];
@@ -163,6 +164,7 @@ function fillColours() {
     for (let i = 0; i < values.length; i++) tint[i] = codes[values[i] % codes.length];
   } else {
     const of = Array.from({ length: column.top + 1 }, (_, level) => {
+      if (column.gaps && !level) return GAP;
       const share = (scaled(column, level) - about_.low) / (about_.high - about_.low);
       return codes[Math.round((codes.length - 1) * Math.min(1, Math.max(0, share)))];
     });
@@ -458,6 +460,7 @@ canvas.addEventListener("pointermove", (event) => {
     let text;
     if (column.words) text = column.words[value] ?? String(value);
     else if (column.name === "id") text = String(value);
+    else if (column.gaps && !value) text = "none";
     else text = `${Number(scaled(column, value).toPrecision(3))} ${column.unit}`;
     lines.push(`${column.label}: ${text}`);
   }
