@@ -277,6 +277,7 @@ function legend() {
   const number = (value) => Number(value.toPrecision(3)).toString();
   bar.append(number(about_.low), shades, `${number(about_.high)} ${about_.unit}`);
   box.append(bar);
+  if (column.gaps) box.append("grey: cells without it");
 }
 function tell() {
   const frame = frames[shown];
