@@ -285,7 +285,8 @@ class _Climber:
                 foreseen = _QUARTER * found.wall
             else:  # a loose tolerance may be what it fails at
                 foreseen = found.wall if not found.problem or failures >= _FAILURES else 0.0
-            spent += found.wall if found.problem else _SOLVES * found.wall
+            if not found.problem:
+                spent += _SOLVES * found.wall
             points.append(_Point(self._solved(setting, found), again))
         measured.add(self.method, rows=[point.row for point in points])
         return points

@@ -254,7 +254,9 @@ class StartTable:
             raise SceneError("file", f"'{self.file}' {error.problem}", hint) from None
         if content.startswith(b"\x89HDF\r\n\x1a\n"):  # from here on it is the table that is in it
             path = Path(self.file)
-            known = from_h5ad(path, lambda title: _title(title, path.name) is not None)
+            # a point in a name says nothing of whose it is: others' annotations are left out
+            own = lambda title: "." not in title and _title(title, path.name) is not None  # noqa: E731
+            known = from_h5ad(path, own)
             content = normalise(from_object(known, path.name)).content()
         elif (foreign := self._foreign(content)) is not None:
             content = foreign
