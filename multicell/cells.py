@@ -106,7 +106,8 @@ class Cells:
     phase : (n,) int8
         One of :class:`Phase`, zero where the scene has no phases.
     progress : (n,) float64, s
-        Time spent in the phase, in growing phases as far as growth was not limited.
+        Time spent in the phase, in growing phases as far as growth was not limited; in one that a
+        condition ends, all time.
     phase_length : (n,) float64, s
         Time that the cell is to spend in its phase.
     doomed : (n,) int8

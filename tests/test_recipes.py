@@ -89,6 +89,20 @@ RESPONSE_LAWS'''
 OBSERVABLE = """OBSERVABLES: Final = (
     Observable("largest_cell", lambda s: s.cells.radius.max(initial=0.0), unit="um", doc="its r"),
 """
+PAIR = """    for method in (
+        NetworkMethod(
+            "bogacki-shampine",
+            EXPLICIT,
+            RODAS3,
+            _explicit(
+                [[1 / 2], [0.0, 3 / 4], [2 / 9, 1 / 3, 4 / 9]],
+                [2 / 9, 1 / 3, 4 / 9, 0.0],
+                [-5 / 72, 1 / 12, 1 / 9, -1 / 8],
+                3.0,
+            ),
+            "explicit pair of orders 3 and 2",
+        ),
+"""
 DRAG = '"""Stokes drag 6πηr of the medium on every cell."""\n'
 KEY = '\n    crowding: float = number(default=1.0, at_least=1.0, doc="more viscous by it")\n'
 VISCOSITY = "        scene.drag.viscosity"
@@ -116,20 +130,33 @@ RECIPES = {
         "scene/parts.py": [(DRAG, DRAG + KEY)],
         "scene/start.py": [(VISCOSITY + ",", VISCOSITY + " * scene.drag.crowding,")],
     },
+    "network method": {
+        "networks/methods.py": [("    for method in (\n", PAIR)],
+        "scene/networks.py": [('("auto", ', '("auto", "bogacki-shampine", ')],
+    },
 }  # fmt: skip
 
 RUN = """
 import json
+import math
 import multicell as mc
 from multicell.report.explain.scene import explain
 from multicell.nutrient.equations.solvers import SolverBase
 from multicell.scene.json_schema import json_schema
+
+@mc.network(states={"A": 1.0}, inputs={"oxygen": 0.0}, parameters={"k": 1e-3})
+def decay(t, y, u, p, out):
+    out[0] = -p[0] * y[0]
+
+mc.testing.check_network(decay)
 
 def end(**changes):
     scene = mc.load_scene("spheroid").with_changes({
         "initial.count": 8, "duration": "20 min", "contact": {"law": "harmonic", "spring": 3.0},
         "integrator": "kutta3", "responses.r": {"behaviour": "growth rate", "signal": "oxygen",
             "law": "exponential", "half": "0.05 mM"},
+        "networks.own": {"network": decay, "inputs": {"oxygen": "oxygen"}, "dilution": False,
+            "method": "bogacki-shampine", "tolerance": 1e-7},
         **{key.replace("__", "."): value for key, value in changes.items()}})
     return scene, mc.run(scene, threads=1, report=False)
 
@@ -144,6 +171,8 @@ print(json.dumps({
     "response": ["half way at 0.05 mM" in words, '"exponential"' in schema,
                  bool(grown.volume.sum() > last.volume.sum())],
     "observable": [float(result.history["largest_cell"][-1]) == float(last.radius.max())],
+    "network method": ['"bogacki-shampine"' in schema, "by bogacki-shampine" in words,
+                       bool(abs(last.inside[:, 0] - math.exp(-1.2)).max() < 1e-6)],
     "key": ['"crowding"' in schema, bool((slow.position != last.position).any())],
 }))
 """

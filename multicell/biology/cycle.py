@@ -9,6 +9,10 @@ in the next one, also after division, so that cycles do not become longer with t
 At the end of G1 (the restriction point; A. B. Pardee, PNAS 71 (1974) 1286) a cell that finds too
 little nutrient or too much pressure goes to G0, and on to S when it decides anew in better
 conditions. Where the scene has no restriction, cells rest in any phase.
+
+A phase that a condition ends (``plan.waits``) lasts whatever its duration is: its clock counts all
+time since the cell entered it, and when the condition has come true (:mod:`.waiting`) the cell
+leaves it at that moment (:func:`leave_phases`).
 """
 
 from __future__ import annotations
@@ -80,21 +84,60 @@ def advance_cycle(
     - ``unfavourable``, (n,) bool: whether a cell would rest here
     - ``pace``, (n, 5) or None: factor of each phase's clock, from :func:`phase_pace`
     """
-    now = Cycling(
-        cells.volume,
-        cells.state.copy(),
-        cells.phase.copy(),
-        cells.progress.copy(),
-        cells.phase_length.copy(),
-    )
+    now = _now(cells)
     left = np.where((cells.state == State.PROLIFERATING) & (cells.phase != Phase.G0), dt, 0.0)
     grows = plan.grows
-    if not grows[Phase.G1]:
+    if not grows[Phase.G1] and not plan.waits[Phase.G1]:
         # newborn cells may have spent more of the step than their first phase lasts
         newborn_ones = (left > 0.0) & (now.phase == Phase.G1)
         surplus = np.where(newborn_ones, np.maximum(now.progress - now.phase_length, 0.0), 0.0)
         left += surplus
         now.progress[:] -= surplus
+    _spend(plan, cells, now, factor, unfavourable, left, pace)
+    return now
+
+
+def leave_phases(
+    plan: BiologyPlan,
+    cells: Cells,
+    rows: IntArray,
+    left: FloatArray,
+    volume: FloatArray,
+    factor: FloatArray,
+    unfavourable: Mask,
+    pace: FloatArray | None = None,
+) -> Cycling:
+    """Return where cells are at the end of a step of which some have left their phase within it.
+
+    - ``rows``, (k,): of these
+    - ``left``, (n,): what was left of the step then, s; zero of others. It is overwritten.
+    - ``volume``, (k,) µm³: of these then
+
+    ``factor``, ``unfavourable`` and ``pace`` are as in :func:`advance_cycle`.
+    """
+    now = _now(cells)
+    now.volume[rows] = volume
+    _change(plan, cells, now, rows, factor, unfavourable, left)
+    _spend(plan, cells, now, factor, unfavourable, left, pace)
+    return now
+
+
+def _now(cells: Cells) -> Cycling:
+    state, phase = cells.state.copy(), cells.phase.copy()
+    return Cycling(cells.volume, state, phase, cells.progress.copy(), cells.phase_length.copy())
+
+
+def _spend(
+    plan: BiologyPlan,
+    cells: Cells,
+    now: Cycling,
+    factor: FloatArray,
+    unfavourable: Mask,
+    left: FloatArray,
+    pace: FloatArray | None,
+) -> None:
+    """Let cells spend what is left of a step, (n,) s, in their phases."""
+    grows, waits = plan.grows, plan.waits
     # a clock that stands still never comes to the end of its phase
     active = np.flatnonzero(left > 0.0)
     while active.size:
@@ -104,6 +147,9 @@ def advance_cycle(
             rate *= pace[active, now.phase[active]]
         needed = np.full(active.size, np.inf)
         to_go = now.phase_length[active] - now.progress[active]
+        if waits.any():
+            waiting = waits[now.phase[active]]
+            rate[waiting], to_go[waiting] = 1.0, np.inf
         np.divide(to_go, rate, out=needed, where=rate > 0.0)
         spent = np.minimum(np.maximum(needed, 0.0), left[active])
         now.progress[active] += rate * spent
@@ -112,7 +158,6 @@ def advance_cycle(
         left[active] -= spent
         _change(plan, cells, now, active[needed <= spent], factor, unfavourable, left)
         active = active[(left[active] > 0.0) & (needed <= spent)]
-    return now
 
 
 def phase_pace(plan: BiologyPlan, signals: Signals, cells: Cells) -> FloatArray | None:

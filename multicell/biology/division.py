@@ -50,6 +50,8 @@ _GROWING = int(State.PROLIFERATING)  # numbers compare with arrays faster than n
 
 def due_to_divide(plan: BiologyPlan, cells: Cells) -> Mask:
     """Return which cells are at the end of their cycle, (n,); ``plan`` is one with growth."""
+    if plan.phased and plan.waits[Phase.M]:  # it divides when what it waits for comes true
+        return np.zeros(len(cells), bool)
     if plan.phased:
         ripe = (cells.phase == Phase.M) & (cells.progress >= cells.phase_length)
     else:
@@ -64,6 +66,7 @@ def divide(
     dt: float = 0.0,
     signals: Signals = _NONE,
     factor: float | FloatArray = 1.0,
+    since: FloatArray | None = None,
 ) -> tuple[Cells, int]:
     """Divide all proliferating cells at the end of M, or at the division volume without phases.
 
@@ -79,6 +82,8 @@ def divide(
     - ``next_id``: first identity that is free
     - ``dt``: length of the coupling step that has ended, s: no mother can have waited for longer
     - ``factor``, (n,) or one for all: part of unlimited growth at which they have grown in the step
+    - ``since``, (n,) s: how long before its end those divided that a condition lets divide; NaN of
+      others, absent: there are none
 
     Returns cells: the cells that did not divide, in their old order, followed by the daughters in
     the order of their identities. The daughters have the age of that rest, the mother's pressure
@@ -88,6 +93,8 @@ def divide(
     if plan.growth is None:
         return cells, next_id
     ripe = due_to_divide(plan, cells)
+    if since is not None:
+        ripe |= ~np.isnan(since)
     if not np.count_nonzero(ripe) or not np.count_nonzero(ripe := ripe & (cells.doomed != 1)):
         return cells, next_id
     mothers = cells.take(ripe)
@@ -96,6 +103,8 @@ def divide(
     age = np.maximum(waited, 0.0)
     if not plan.phased or plan.grows[Phase.G1]:
         age = np.divide(age, rate, out=np.zeros(len(age)), where=rate > 0.0)
+    if since is not None:
+        age = np.where(np.isnan(since[ripe]), age, since[ripe])
     order = np.lexsort((mothers.id, -age))
     if len(order) > 1:
         mothers, waited, volume = mothers.take(order), waited[order], volume[order]
@@ -106,6 +115,8 @@ def divide(
     ]
     daughters = _daughters(plan, mothers, ids, chances)
     daughters.age = np.repeat(age[order], 2)
+    if plan.waits[Phase.G1]:
+        daughters.progress = daughters.age.copy()
     if not plan.phased:
         _grow_since(plan, daughters, np.repeat(volume, 2), np.repeat(waited, 2))
     return cells.replaced(~ripe, daughters), int(ids[-1]) + 1

@@ -30,6 +30,7 @@ from multicell.cells import HALF, SPHERE, Cells, FloatArray, IntArray, Signals, 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
     from multicell.biology.responding import Known
+    from multicell.biology.waiting import Awaited
     from multicell.random import Purpose
 
 Course = tuple[FloatArray, FloatArray]
@@ -152,6 +153,24 @@ class Exposure:
             first = np.where(acts, np.minimum(first, low), first)
         return first
 
+    def first_beyond(self, awaited: Awaited, since: FloatArray) -> FloatArray:
+        """Return at which part of the step a signal comes beyond a value, (n,); infinite: never.
+
+        - ``since``, (n,): part of the step from which it counts
+        """
+        first, one = np.full(len(self.cells), np.inf), (awaited,)
+        for low, high in pairwise(self._knots(one).tolist()):
+            begin = np.maximum(low, since)
+            before, after = (
+                awaited.sign * (awaited.level(*self._at(part, one), None) - awaited.value)
+                for part in (begin, high)
+            )
+            rise = np.where(after > before, after - before, 1.0)
+            passes = begin + (high - begin) * np.where(before > 0.0, 0.0, -before / rise)
+            beyond = (begin < high) & ((before > 0.0) | (after > 0.0))
+            first = np.minimum(first, np.where(beyond, passes, np.inf))
+        return first
+
     def remainder(self, known: Known, rate: Rate, slope: float | None) -> tuple[float, float]:
         """Return about how far off the integral is, and the slope of the rate at its end, 1/s².
 
@@ -170,7 +189,7 @@ class Exposure:
         all_of_them, half = (np.trapezoid(rates[k], knots[k]) for k in (slice(None), fewer))
         return self.length * float(half - all_of_them) / 3.0, ahead
 
-    def _knots(self, known: Known) -> FloatArray:
+    def _knots(self, known: Known | tuple[Awaited]) -> FloatArray:
         """Return the moments at which all that a rate depends on is known, in parts of the step."""
         times = [self.inner[name][0] for name in _needs(known) & self.inner.keys()]
         return np.unique(np.concatenate(times)) if times else _ENDS
@@ -195,7 +214,7 @@ class Exposure:
                     change = np.where(passes, last - first, 1.0)
                     yield np.where(passes, low + (high - low) * ((kink - first) / change), high)
 
-    def _at(self, part: Any, known: Known) -> tuple[Signals, Cells]:
+    def _at(self, part: Any, known: Known | tuple[Awaited]) -> tuple[Signals, Cells]:
         """Return signals and cells at a part of the step: one for all, or that of each, (n,)."""
         names = _needs(known)
         signals = {name: self._value(name, part) for name in names - _OF_CELLS}
@@ -216,7 +235,7 @@ class Exposure:
         return np.asarray(first + share * (last - first))
 
 
-def _needs(known: Known) -> frozenset[str]:
+def _needs(known: Known | tuple[Awaited]) -> frozenset[str]:
     return frozenset().union(*(part.needs for part in known))
 
 

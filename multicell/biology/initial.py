@@ -209,7 +209,7 @@ def _in_given_phase(plan: BiologyPlan, cells: Cells, given: Given, lengths: Floa
     cells.phase_length = columns.get("phase_length", own)
     if "progress" in columns:
         cells.progress = columns["progress"]
-        beyond = (cells.progress > cells.phase_length) & ~cells.dead
+        beyond = (cells.progress > cells.phase_length) & ~cells.dead & ~plan.waits[cells.phase]
         problem = "is {}, more than the length of the phase that is drawn for the cell"
         hint = "Give a column 'phase_length_s', or leave progress out."
         given.refuse(beyond, "progress", problem, hint)

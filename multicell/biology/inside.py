@@ -423,7 +423,8 @@ class Networks:
         *,
         next_id: int,
         courses: Courses | None = None,
-    ) -> None:
+        waiting: Mapping[str, FloatArray] | None = None,
+    ) -> FloatArray | None:
         """Bring the networks of cells through a step from ``begin`` to ``end`` (s).
 
         - ``cells``: at its end; ``inside`` is that of its beginning, or of their mothers
@@ -433,12 +434,18 @@ class Networks:
         - ``next_id``: first identity that is free
         - ``courses``: what fields were at the cells on the way, for inputs that are one of them;
           all others go linearly from one end to the other
+        - ``waiting``, network -> (n, 4): what cells wait for
+          (:func:`multicell.biology.waiting.watched`)
+
+        Returns at which part of the step that comes true, (n,); infinite where it does not, None
+        where nothing is waited for.
         """
         assert cells.inside is not None
         first = cells.inside
         step = _Step(cells, began, begin, end, next_id)
+        met: FloatArray | None = None
         for _ in range(1 + (self._twice and find is not None)):
-            known = cells.inside
+            known, met = cells.inside, None
             for part in self.parts.values():
                 if find is not None:
                     u = part.inputs(cells, find(cells))
@@ -449,8 +456,14 @@ class Networks:
                     # a cell that has just become one of its type has no slopes
                     u = np.where(np.isnan(u), np.array(part.model.defaults), u)
                 known = known.copy()
-                self._advance(part, step, first, known, u, held, threads, courses or {})
+                own = (waiting or {}).get(part.name)
+                found = self._advance(
+                    part, step, first, known, u, held, threads, courses or {}, own
+                )
                 cells.inside = known
+                if found is not None:  # a cell waits for one network at a time
+                    met = found if met is None else np.minimum(met, found)
+        return met
 
     def _advance(
         self,
@@ -462,8 +475,9 @@ class Networks:
         held: Collection[str],
         threads: int,
         courses: Courses,
-    ) -> None:
-        """Write what becomes of one network in all cells."""
+        waiting: FloatArray | None,
+    ) -> FloatArray | None:
+        """Write what becomes of one network in all cells; return when it is what they wait for."""
         from multicell.networks.solver import NetworkFailed
 
         cells, own = step.cells, slice(part.begin, part.begin + len(part.columns))
@@ -475,8 +489,9 @@ class Networks:
             out[rows, own] = 0.0
             part.write(out, rows, self._new(part, cells.id[rows], u[rows]), u[rows])
         rows = np.flatnonzero(has & ~fresh & ~cells.dead)
+        met = None if waiting is None else np.full(len(cells), np.inf)
         if not rows.size:
-            return
+            return met
         inside, before = part.read(first[rows], step.mother[rows])
         after = u[rows].copy()
         for place, name in enumerate(part.model.inputs):
@@ -484,15 +499,23 @@ class Networks:
                 after[:, place] = before[:, place]
         ids = cells.id[rows]
         solver = part.solver_for(threads) if threads > 1 else part.solver
+        start, length = step.begin / part.seconds, (step.end - step.begin) / part.seconds
+        if waiting is not None:
+            waiting = waiting[rows]
+            waiting[:, 3] = start + length * waiting[:, 3]
         path = _path(part, step, rows, before, after, courses)
         try:
             for piece in itertools.pairwise(path):
-                inside = self._through_piece(part, step, rows, solver, inside, *piece)
+                inside = self._through_piece(part, step, rows, solver, inside, *piece, waiting)
+                if met is not None and inside.met is not None:
+                    at = np.clip((inside.met - start) / length, 0.0, np.inf)
+                    met[rows] = np.minimum(met[rows], at)
         except NetworkFailed as failure:
             raise _failed(part, failure, ids) from None
         part.write(out, rows, inside, u[rows])
         if part.slopes.stop > part.slopes.start:
             out[rows, part.slopes] = (after - before) / (step.end - step.begin)
+        return met
 
     def _through_piece(
         self,
@@ -503,10 +526,12 @@ class Networks:
         inside: Inside,
         first: tuple[float, FloatArray],
         last: tuple[float, FloatArray],
+        waiting: FloatArray | None,
     ) -> Inside:
         """Return the networks of some cells after a piece of a step, of which daughters are born.
 
-        ``first``, ``last``: part of the step at both ends, and inputs there
+        - ``first``, ``last``: part of the step at both ends, and inputs there
+        - ``waiting``, (n, 4): what cells wait for, in the network's own time
         """
         (begin, before), (end, after) = first, last
         born, since = step.born[rows], step.since[rows]
@@ -543,7 +568,44 @@ class Networks:
             length * (end - from_here),
             growth=growth,
             diluted=part.diluted,
+            waiting=waiting,
         )
+
+    def divided(
+        self,
+        daughters: Cells,
+        mothers: Cells,
+        rows: IntArray,
+        began: Cells,
+        signals: Signals,
+        begin: float,
+        end: float,
+        held: Collection[str] = (),
+        *,
+        next_id: int,
+        courses: Courses | None = None,
+    ) -> None:
+        """Set the networks of daughters of a step once those of their mothers are known.
+
+        - ``mothers``: cells that have divided, and others, at the end of the step
+        - ``rows``, (n,): of the mother of each daughter among them
+        - ``began``: cells at the beginning of the step
+        - ``signals``: what ``mothers`` find at its end; ``courses``: and on the way
+        """
+        assert began.inside is not None
+        assert mothers.inside is not None
+        own = {x for x in signals if "." in x and OF_NEIGHBOURS not in x}
+        around = {name: values[rows] for name, values in signals.items()}
+
+        def find(cells: Cells) -> Signals:
+            return {**around, **self.signals(own, cells, end, lambda: np.empty((0, 2), np.int64))}
+
+        daughters.inside = began.inside[began.rows_of(daughters.parent)]
+        seen = {name: (times, x[:, rows]) for name, (times, x) in (courses or {}).items()}
+        self.advance(daughters, began, find, begin, end, held, next_id=next_id, courses=seen)
+        for part in self.parts.values():  # what fields have found is the mothers' still
+            places = slice(part.slopes.stop, part.begin + len(part.columns))
+            daughters.inside[:, places] = mothers.inside[rows, places]
 
     def _inherited(
         self, part: PlacedNetwork, inside: Inside, step: _Step, rows: IntArray

@@ -15,6 +15,7 @@ from multicell.biology.responding import (
     missing_signals,
     one_level,
 )
+from multicell.biology.waiting import Awaited, awaited_of
 from multicell.cells import Mask, Phase
 from multicell.scene.sizes import birth_volume, division_volume
 from multicell.units import oxygen_solubility
@@ -51,6 +52,7 @@ class BiologyPlan:
     - ``law``: by which volumes grow; None without growth
     - ``phased``: whether the cycle has phases
     - ``grows``, (5,) bool: for each :class:`multicell.cells.Phase` whether cells grow in it
+    - ``waits``, (5,) bool: which phases a condition ends, and ``awaited``: these conditions
     - ``restricted``: whether cells rest in G0 only
     - ``stage``, ``varies``, ``founders``: where in their cycle cells start, whether newborn ones
       draw durations that differ, and below which identity they are founders of a stable population:
@@ -85,6 +87,8 @@ class BiologyPlan:
     law: GrowthLaw | None
     phased: bool
     grows: Mask
+    waits: Mask
+    awaited: tuple[Awaited, ...]
     restricted: bool
     hypertrophy: bool
     stage: str
@@ -143,11 +147,13 @@ def biology_plan(scene: Scene) -> BiologyPlan:
     phases = {} if growth is None else growth.phases
     own = [kind.young for kind in kinds]
     known = bind_responses(scene)
-    networks = None
+    networks, inputs = None, frozenset[str]()
     if scene.networks:
         from multicell.biology.inside import Networks
 
         networks = Networks(scene, one_level)
+        inputs = networks.needs
+    awaited = awaited_of(scene)
     growth_signals = {name for part in known.get("growth rate", ()) for name in part.needs}
     rate = 0.0 if scene.death is None else scene.death.apoptosis_rate
     ratio = [1.0 if young is None else young / cells.young for young in own]
@@ -159,6 +165,8 @@ def biology_plan(scene: Scene) -> BiologyPlan:
         law=None if growth is None else growth.growth_law,
         phased=bool(phases),
         grows=np.array([p.name in phases and phases[p.name].grows for p in Phase]),
+        waits=np.zeros(5, bool) if growth is None else growth.waits,
+        awaited=awaited,
         restricted=growth is not None and bool(phases) and growth.restriction,
         hypertrophy=growth is None or growth.hypertrophy,
         stage=scene.initial.stage,
@@ -170,7 +178,7 @@ def biology_plan(scene: Scene) -> BiologyPlan:
         acting=acting(known),
         exposed=exposed(known),
         growth_follows_state=not growth_signals <= {"pressure", *scene.nutrients},
-        elsewhere=missing_signals(known, frozenset() if networks is None else networks.needs),
+        elsewhere=missing_signals(known, inputs.union(*(part.needs for part in awaited))),
         networks=networks,
         inflow=scene.drag.viscosity if scene.death is not None and scene.death.inflow else 0.0,
         surface_tension=0.0 if scene.surface is None else scene.surface.tension,

@@ -26,14 +26,14 @@ if TYPE_CHECKING:
 @shared.as_json_option
 def scenes(name: str | None, full: bool, as_json: bool) -> None:
     """List the built-in scenes, or print the one called NAME as TOML, with units and remarks."""
-    from multicell.scene.scene import load_scene, scene_names
+    from multicell.scene.scene import scene_names
 
     if name is None and full:
         raise click.UsageError("--full needs the NAME of a scene")
     if name is not None:
         _print_scene(name, full, as_json)
         return
-    rows = [_scene_row(name, load_scene(name)) for name in scene_names()]
+    rows = [_scene_row(name) for name in scene_names()]
     if as_json:
         print_json(rows)
         return
@@ -63,16 +63,20 @@ def _print_scene(name: str, full: bool, as_json: bool) -> None:
 def init(name: str, output: Path | None, overwrite: bool, as_json: bool) -> None:
     """Write a copy of the built-in scene NAME, to edit and run as a scene of your own."""
     from multicell.results.folder import write_text
-    from multicell.scene.scene import scene_names, scene_text
+    from multicell.scene.scene import scene_files, scene_names, scene_text
     from multicell.schema import near_miss
 
     if name not in scene_names():
         raise OutputError(f"there is no built-in scene {name!r}. {near_miss(name, scene_names())}")
     path = output or Path(f"{name}.toml")
-    shared.refuse_existing(path, overwrite=overwrite)
-    write_text(path, scene_text(name))
+    written = {path: scene_text(name)}
+    written |= {path.with_name(other): text for other, text in scene_files(name).items()}
+    for file in written:
+        shared.refuse_existing(file, overwrite=overwrite)
+    for file, text in written.items():
+        write_text(file, text)
     if as_json:
-        print_json({"file": str(path)})
+        print_json({"file": str(path), "others": [str(file) for file in written if file != path]})
         return
     click.echo(f"'{path}' is written. Edit it, then: multicell run {path} -o out", file=sys.stdout)
 
@@ -144,10 +148,20 @@ def importing(
         click.echo(f"To run it: multicell run {scene} -o out", file=sys.stdout)
 
 
-def _scene_row(name: str, scene: Scene) -> dict[str, Any]:
+def _scene_row(name: str) -> dict[str, Any]:
+    from multicell.host.files import parse_toml
+    from multicell.scene.scene import Scene, scene_text
+
+    entries = parse_toml(scene_text(name))
+    # a list needs no network: to read one takes a second, and packages that may not be here
+    networks = entries.pop("networks", None)
+    if networks:
+        del entries["responses"]
+    scene = Scene.from_dict(entries)
     parts = ["growth"] if scene.growth else []
     parts += ["death"] if scene.death else []
     parts += list(scene.nutrients)
+    parts += ["networks"] if networks else []
     return {
         "name": name,
         "title": scene.title,

@@ -32,12 +32,15 @@ class Common(NamedTuple):
     - ``rates``: address of the rates
     - ``relative``, ``absolute``, (s,): tolerances of the error of a step
     - ``diluted``, (s,): 1 for states that fall as the cell grows, else 0
+    - ``observe``, ``observed``: address and number of the observed values
     """
 
     rates: int
     relative: float
     absolute: FloatArray
     diluted: FloatArray
+    observe: int
+    observed: int
 
 
 @final

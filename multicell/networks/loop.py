@@ -31,6 +31,15 @@ from multicell.networks.kernels import (
     take_implicit,
 )
 from multicell.networks.methods import AUTO, EXPLICIT, Explicit, LinearlyImplicit
+from multicell.networks.watching import (
+    LOOKS,
+    Watch,
+    between,
+    excess_of,
+    no_watch,
+    passage_within,
+    stays_below,
+)
 
 _inner = typed(**INNER)
 
@@ -50,7 +59,6 @@ _SURE = 4.0  # steps in a row that speak for the other kind
 _SHORTEST = 1e-14  # steps below this part of time and span are lost in rounding
 _LONGEST = 100.0  # coupling steps that a remembered step is long at most
 _EXACT = 1e-13  # part of time and span to which the time of an event is known
-_LOOKS = 4  # parts of a step in which events are looked for
 
 
 @final
@@ -62,6 +70,8 @@ class Batch(NamedTuple):
     - ``growth`` (n,): d ln(volume)/dt over the step
     - ``start``, ``span`` (n,): when the step of each cell begins, and its length
     - ``memory`` (n, 3 + k), ``work`` (n, 5), ``status`` (n,), ``reached`` (n,): where it ended
+    - ``waiting`` (n, 4) or (0, 4): what cells wait for (:class:`.watching.Watch`), ``met`` (n,):
+      when that came true; infinite: not
     """
 
     y: FloatArray
@@ -75,6 +85,8 @@ class Batch(NamedTuple):
     work: NDArray[np.int64]
     status: NDArray[np.int64]
     reached: FloatArray
+    waiting: FloatArray
+    met: FloatArray
 
 
 @final
@@ -139,17 +151,14 @@ def _attempt(common, here, rosenbrock, explicit, implicit, t, h, y, s, fresh):
 
 
 @_inner
-def _rises_at(common, here, rules, t, h, y, s, conditions, state, slopes):
+def _rises_at(common, here, rules, t, h, y, s, conditions, state):
     """Return the first part of a step by which a condition has risen, or 2 where none has.
 
-    ``slopes`` has the rates at the end; between the ends the state is Hermite's cubic.
+    ``s.slope`` has the rates at the end; between the ends the state is Hermite's cubic.
     """
-    for part in range(1, _LOOKS):
-        x = part / _LOOKS
-        for k in range(y.size):
-            a, b = h * s.f[k], h * slopes[k]
-            d = s.trial[k] - y[k]
-            state[k] = y[k] + x * (a + x * (3.0 * d - 2.0 * a - b + x * (a + b - 2.0 * d)))
+    for part in range(1, LOOKS):
+        x = part / LOOKS
+        between(h, x, y, s, state)
         if any_rises(rules, here, t + x * h, state, s.u, conditions):
             return x
     if any_rises(rules, here, t + h, s.trial, s.u, conditions):
@@ -185,7 +194,7 @@ def _cut_at_event(common, here, rosenbrock, explicit, implicit, rules, t, h, y, 
     # the rates at the end are not needed where nothing but the cubic would ask for them
     evaluate_network(common, here, t + h, s.trial, s.u, s.slope)
     s.calls[0] += 1
-    x = _rises_at(common, here, rules, t, h, y, s, conditions, s.point, s.slope)
+    x = _rises_at(common, here, rules, t, h, y, s, conditions, s.point)
     if x > 1.0:
         return h, False
     if x < 1.0:
@@ -196,6 +205,54 @@ def _cut_at_event(common, here, rosenbrock, explicit, implicit, rules, t, h, y, 
     return _locate(
         common, here, rosenbrock, explicit, implicit, rules, t, h, y, s, conditions
     ), True
+
+
+@_inner
+def _met_at(common, here, rosenbrock, explicit, implicit, watch, t, h, y, s, seen):
+    """Return when within an accepted step a value first comes beyond its level; infinite: never.
+
+    ``s.slope`` has the rates at the end. ``s.trial`` is in the end what it was.
+    """
+    low, high = passage_within(watch, here, t, h, y, s, seen)
+    if high > 1.0:
+        return math.inf
+    if low == high:
+        return t + low * h
+    exact = _EXACT * (abs(t) + here.span)
+    if low > 0.0:
+        _attempt(common, here, rosenbrock, explicit, implicit, t, low * h, y, s, False)
+        begin = excess_of(watch, here, t + low * h, s.trial, s.u, seen)
+    else:
+        begin = excess_of(watch, here, t, y, s.u, seen)
+    _attempt(common, here, rosenbrock, explicit, implicit, t, high * h, y, s, False)
+    end = excess_of(watch, here, t + high * h, s.trial, s.u, seen)
+    if begin > 0.0:  # the cubic was late
+        high = low
+    elif end > 0.0:
+        last = 0
+        while (high - low) * h > exact:
+            # false position, with half of the end that stays (Illinois)
+            x = low + (high - low) * begin / (begin - end)
+            if not low < x < high:
+                x = 0.5 * (low + high)
+                if not low < x < high:
+                    break
+            _attempt(common, here, rosenbrock, explicit, implicit, t, x * h, y, s, False)
+            value = excess_of(watch, here, t + x * h, s.trial, s.u, seen)
+            if value > 0.0:
+                high, end = x, value
+                begin *= 0.5 if last == 1 else 1.0
+                last = 1
+            else:
+                low, begin = x, value
+                end *= 0.5 if last == -1 else 1.0
+                last = -1
+            if value == 0.0:
+                high = x
+                break
+    # else the cubic was early by no more than its error
+    _attempt(common, here, rosenbrock, explicit, implicit, t, h, y, s, False)
+    return t + high * h
 
 
 @_inner
@@ -228,9 +285,15 @@ def _begin_events(common, here, rules, t, y, memory, work, s, events):
 
 
 @_inner
-def _through(common, here, rosenbrock, explicit, rules, control, y, memory, work, s, events):
-    """Bring a cell through a coupling step; return how that ended, and when."""
+def _through(
+    common, here, rosenbrock, explicit, rules, control, y, memory, work, s, events, watch, seen
+):
+    """Bring a cell through a coupling step.
+
+    Returns how that ended, when, and when what the cell waits for came true.
+    """
     t, end, eventful = here.start, here.start + here.span, rules.triggers.size > 0
+    met, waits = math.inf, watch.since < end
     fixed = control.length > 0.0
     count = math.ceil(here.span / control.length * (1.0 - 1e-12)) if fixed else 0.0
     known = fresh = refused = False
@@ -238,18 +301,18 @@ def _through(common, here, rosenbrock, explicit, rules, control, y, memory, work
     if control.mode != AUTO:
         memory[IMPLICITLY] = 0.0 if control.mode == EXPLICIT else 1.0
     if eventful and not _begin_events(common, here, rules, t, y, memory, work, s, events):
-        return CASCADE, t
+        return CASCADE, t, met
     while t < end:
         tried += 1
         if tried > control.most:
-            return CELL_OUT_OF_STEPS, t
+            return CELL_OUT_OF_STEPS, t, met
         implicit = memory[IMPLICITLY] == 1.0
         if not known:
             evaluate_network(common, here, t, y, s.u, s.f)
             s.calls[0] += 1
             known = fresh = True
             if not _finite(s.f):
-                return CELL_NOT_FINITE, t
+                return CELL_NOT_FINITE, t, met
         if memory[CELL_STEP] <= 0.0:
             memory[CELL_STEP] = _first_step(common, here, y, s.f)
         left = end - t
@@ -262,7 +325,7 @@ def _through(common, here, rosenbrock, explicit, rules, control, y, memory, work
         size, stiffness = _attempt(common, here, rosenbrock, explicit, implicit, t, h, y, s, fresh)
         fresh = fresh and not implicit
         if fixed and not _finite(s.trial):
-            return CELL_NOT_FINITE, t
+            return CELL_NOT_FINITE, t, met
         order = rosenbrock.order if implicit else explicit.order
         if not fixed and not size <= 1.0:
             work[CELL_REJECTIONS] += 1
@@ -271,7 +334,7 @@ def _through(common, here, rosenbrock, explicit, rules, control, y, memory, work
             _weigh(control.mode, memory, implicit, not implicit and stiffness > _STIFF)
             fresh = fresh or (memory[IMPLICITLY] == 1.0 and not implicit)
             if memory[CELL_STEP] < _SHORTEST * (abs(t) + here.span):
-                return CELL_STALLED, t
+                return CELL_STALLED, t, met
             continue
         longer = _factor(size, order)
         longer = min(1.0, longer) if refused else longer
@@ -284,12 +347,23 @@ def _through(common, here, rosenbrock, explicit, rules, control, y, memory, work
             last = last and h == whole
         elif eventful:
             event = any_rises(rules, here, t + h, s.trial, s.u, memory[REMEMBERED:])
+        known, refused = False, False
+        if waits:
+            evaluate_network(common, here, t + h, s.trial, s.u, s.slope)
+            s.calls[0] += 1
+            # the test comes before the call: so many arrays take longer to pass than a step takes
+            if t + h > watch.since and not stays_below(watch, h, y, s):
+                met = _met_at(common, here, rosenbrock, explicit, implicit, watch, t, h, y, s, seen)
+            waits = met == math.inf
+            if waits and not eventful and not last:  # these are the rates of the next step
+                for k in range(y.size):
+                    s.f[k] = s.slope[k]
+                known = fresh = _finite(s.f)
         for k in range(y.size):
             y[k] = s.trial[k]
         t = end if last else t + h
         work[CELL_STEPS] += 1
         work[STIFF] += implicit
-        known, refused = False, False
         if not fixed:
             # a step that only the end has cut keeps its length
             new = h * longer
@@ -301,10 +375,10 @@ def _through(common, here, rosenbrock, explicit, rules, control, y, memory, work
         if eventful:
             if event:
                 if not _fire_now(common, here, rules, t, y, memory, work, s, events):
-                    return CASCADE, t
+                    return CASCADE, t, met
             else:
                 note_conditions(rules, here, t, y, s.u, memory[REMEMBERED:])
-    return CELL_DONE, t
+    return CELL_DONE, t, met
 
 
 @typed(**KERNEL, nogil=True)
@@ -322,6 +396,7 @@ def advance_cells(
     states, inputs = batch.y.shape[1], batch.before.shape[1]
     s = scratch_of(states, inputs, max(rosenbrock.m.size, explicit.b.size))
     events = event_memory(rules.triggers.size, states, batch.p.shape[1])
+    watch, seen = no_watch(), np.empty(common.observed)
     for i in range(begin, end):
         here = Surrounding(
             batch.before[i],
@@ -331,7 +406,10 @@ def advance_cells(
             batch.start[i],
             batch.span[i],
         )
-        status, t = _through(
+        if batch.waiting.shape[0] > 0:
+            place, sign, level, since = batch.waiting[i]
+            watch = Watch(common.observe, int(place), sign, level, since)
+        batch.status[i], batch.reached[i], batch.met[i] = _through(
             common,
             here,
             rosenbrock,
@@ -343,6 +421,7 @@ def advance_cells(
             batch.work[i],
             s,
             events,
+            watch,
+            seen,
         )
-        batch.status[i], batch.reached[i] = status, t
         batch.work[i, EVALUATIONS], s.calls[0] = s.calls[0], 0

@@ -67,11 +67,14 @@ class Inside:
 
     - ``y``, (n, s); ``p``, (n, q): states and parameters
     - ``memory``, (n, 3 + k): what the solver knows of each cell
+    - ``met``, (n,): when in the step what each cell waits for came true; infinite where it did
+      not; None where none waits
     """
 
     y: FloatArray
     p: FloatArray
     memory: FloatArray
+    met: FloatArray | None = None
 
 
 @final
@@ -153,12 +156,15 @@ class NetworkSolver:
         *,
         growth: FloatArray | None = None,
         diluted: FloatArray | None = None,
+        waiting: FloatArray | None = None,
     ) -> Inside:
         """Return the networks a time ``span`` after ``start``, for all cells or (n,), in its unit.
 
         - ``before``, ``after``, (n, m): inputs at both ends, between which they go linearly
         - ``growth``, (n,): d ln(volume)/dt, by which those of the states fall that ``diluted``,
           (s,), marks by 1
+        - ``waiting``, (n, 4): what each cell waits for: place of a value (:meth:`place_of`), 1 or
+          -1 for a rise or a fall, level, and the time from which it counts
 
         Raises
         ------
@@ -178,9 +184,14 @@ class NetworkSolver:
             np.zeros((count, WORK), dtype=np.int64),
             np.zeros(count, dtype=np.int64),
             np.zeros(count),
+            np.empty((0, 4)) if waiting is None else np.ascontiguousarray(waiting, dtype=float),
+            np.full(count, np.inf),
         )
         fall = np.zeros(states) if diluted is None else np.ascontiguousarray(diluted, dtype=float)
-        common = Common(self._at.rates, self.relative, self.absolute, fall)
+        observed = len(self.network.observed)
+        common = Common(
+            self._at.rates, self.relative, self.absolute, fall, self._at.observe, observed
+        )
         team = self._team.at_most(1 + count // _SHARED)
         team.share(
             advance_cells,
@@ -198,7 +209,13 @@ class NetworkSolver:
             problem = _WORDS[int(batch.status[row])]
             raise NetworkFailed(row, float(batch.reached[row]), problem)
         self.work = self.work + batch.work.sum(axis=0)
-        return Inside(batch.y, batch.p, batch.memory)
+        met = None if waiting is None else batch.met
+        return Inside(batch.y, batch.p, batch.memory, met)
+
+    def place_of(self, name: str) -> int:
+        """Return the place of a value among states, parameters, inputs and observed values."""
+        known = self.network
+        return (*known.states, *known.parameters, *known.inputs, *known.observed).index(name)
 
     def rates(self, inside: Inside, inputs: FloatArray, time: float) -> FloatArray:
         """Return dy/dt, (n, s)."""

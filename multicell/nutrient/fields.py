@@ -366,6 +366,20 @@ class FieldSystem:
                 self._changes[name] = {"changes": number, "changed_at": end}
             self._sample(name, group, cells, demand[name][0])
 
+    def find_again(self, cells: Cells) -> None:
+        """Note what cells find of the fields as they are, and take up, after some have divided."""
+        self.concentrations = {
+            name: field.sample(cells.position, cells.radius) for name, field in self.fields.items()
+        }
+        self._uptake = {
+            name: self.fields[name].uptake(
+                cells.position,
+                self._capacity(name, cells, self.concentrations),
+                cells.radius,
+            )
+            for name in self._sources
+        }
+
     def give_back(self, cells: Cells, after: Cells, late: FloatArray) -> None:
         """Give transient fields back what cells have taken up after they died or came to rest.
 

@@ -326,6 +326,7 @@ def counts_contacts(scene: Scene) -> bool:
         return True
     named = {name for part in scene.responses.values() for name in part.signals}
     named |= {name for part in scene.networks.values() for name in (part.inputs or {}).values()}
+    named |= set() if scene.growth is None else scene.growth.signals
     return any(map(needs_contacts, named))
 
 

@@ -184,7 +184,10 @@ def _read(document: _Document, inputs: tuple[str, ...], given: tuple[str, ...]) 
 def _text(path: str) -> str:
     from multicell.networks.documents import read_network_document
 
-    return read_network_document(Path(path))
+    try:
+        return read_network_document(Path(path))
+    except SceneError as error:
+        raise SceneError("file", error.problem, error.hint) from None
 
 
 def _digest(text: str) -> str:
@@ -422,7 +425,8 @@ def input_factor(scene: Scene, part: CellNetwork, name: str) -> float:
         return 1.0 / to_base(f"1 {unit}", base, f"inputs.{name}")
     except SceneError as error:
         problem = f"is {part.inputs[name]!r} in {base}, but the network has {name} in {unit}"
-        raise SceneError(f"inputs.{name}", problem, error.hint) from None
+        hint = f"Where that is meant, scales.{name} says how many {unit} one {base} is."
+        raise SceneError(f"inputs.{name}", problem, hint) from error
 
 
 def network_order(scene: Scene) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, final
@@ -33,6 +34,8 @@ from multicell.schema import (
 from multicell.units import shown
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from multicell.vectors import FloatArray
 
 span = partial(interval, "um", at_least=-1e6, at_most=1e6)
@@ -132,6 +135,11 @@ class PhaseLength:
         at_most=1e3,
         doc="volume that relaxation goes to in this phase / that of the law",
     )
+    after: str | None = text(
+        default=None,
+        doc="'SIGNAL > VALUE' or 'SIGNAL < VALUE': the phase begins when this comes true in a cell "
+        "of the phase before, whatever the duration of that; of G1: the cell divides then",
+    )
 
 
 def loaded_in(laws: Any) -> Callable[[str], bool]:
@@ -223,6 +231,11 @@ class Growth:
             hint = "Take law = 'linear' or 'relaxation'."
             problem = "lets sizes wander without bound where growth is exponential"
             raise SceneError("volume_doubling_time", problem, hint)
+        if self.waits.any() and self.law == "exponential":
+            name = next(name for name in CYCLE_PHASES if self.phases[name].after)
+            hint = "Take law = 'linear' or 'relaxation'."
+            problem = "lets sizes wander without bound where growth is exponential"
+            raise SceneError(f"phases.{name}.after", problem, hint)
         for name, phase in self.phases.items():
             if phase.target_scale != 1.0 and self.law != "relaxation":
                 raise SceneError(f"phases.{name}.target_scale", "needs law = 'relaxation'")
@@ -237,6 +250,18 @@ class Growth:
         """Of each phase, G0 first, (5,); None where all are 1."""
         scales = [1.0, *(self.phases[name].target_scale for name in CYCLE_PHASES if self.phases)]
         return None if set(scales) == {1.0} else np.array(scales)
+
+    @property
+    def waits(self) -> NDArray[np.bool_]:
+        """Which phases end by a condition and not by their duration, G0 first, (5,)."""
+        after = [self.phases[name].after is not None for name in CYCLE_PHASES if self.phases]
+        return np.array([False, *after[1:], *after[:1]] if after else [False] * 5)
+
+    @property
+    def signals(self) -> frozenset[str]:
+        """The signals that start phases."""
+        texts = (phase.after for phase in self.phases.values() if phase.after)
+        return frozenset(re.split("[<>]", text)[0].strip() for text in texts)
 
     @property
     def mean_cycle(self) -> float:

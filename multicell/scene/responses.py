@@ -170,6 +170,7 @@ def relevant_fields(scene: Scene) -> set[str]:
     read = {*followed(scene), *(part.oxygen for part in scene.radiation.values())}
     read |= {signal for effect in effects(scene) for signal in effect.signals}
     read |= {signal for part in scene.networks.values() for signal in (part.inputs or {}).values()}
+    read |= set() if scene.growth is None else scene.growth.signals
     for field in scene.nutrients.values():
         read |= {*field.uptake_on, *(field.secretion_from or ())}
     for reaction in scene.reactions.values():
@@ -352,7 +353,7 @@ def in_base_units(scene: Scene, part: Response) -> Response:
             raise SceneError("signal", f"is {signal!r}", hint)
     changed: dict[str, Any] = {}
     if len(part.signals) == 1:
-        read = _signal_reader(scene, part.signals[0])
+        read = signal_reader(scene, part.signals[0])
         for key in ("half", "begin", "end"):
             if (value := getattr(part, key)) is not None:
                 changed[key] = read(value, key)
@@ -361,7 +362,7 @@ def in_base_units(scene: Scene, part: Response) -> Response:
         if (value := getattr(part, key)) is not None:
             changed[key] = value_of(value, key)
     if part.points is not None:
-        read = _signal_reader(scene, part.signals[0])
+        read = signal_reader(scene, part.signals[0])
         points = tuple((read(x, "points"), value_of(y, "points")) for x, y in part.points)
         if not rises(points):
             raise SceneError("points", "must have signals that rise")
@@ -402,8 +403,8 @@ def check_signal(scene: Scene, name: str, path: str) -> None:
         raise SceneError(path, problem, near_miss(kind, scene.types))
 
 
-def _signal_reader(scene: Scene, name: str) -> Any:
-    """Return a reader of a signal's values; of oxygen also as a pressure or a percentage."""
+def signal_reader(scene: Scene, name: str) -> Any:
+    """Return a reader of values of a signal; of oxygen also as a pressure or a percentage."""
     read = reader(signal_unit(name, scene.nutrients, "signal"), Bounds())
 
     def oxygen(value: Any, path: str) -> float:

@@ -32,6 +32,7 @@ from multicell.scene.checks import (
     check_towards,
     check_types,
 )
+from multicell.scene.conditions import conditions
 from multicell.scene.domain import check_domain
 from multicell.scene.driven import PrescribedMotion, check_driven
 from multicell.scene.energy import Energy, check_energy
@@ -197,6 +198,7 @@ class Scene:
             check_networks(self, check_signal)
         if self.responses:
             check_responses(self)
+        conditions(self)
         self.contact.check_scene(self)
         check_domain(self)
         check_driven(self)
@@ -322,6 +324,13 @@ def scene_names() -> list[str]:
     return sorted(name.removesuffix(".toml") for name in found if name.endswith(".toml"))
 
 
+def scene_files(name: str) -> dict[str, str]:
+    """Return the files that a built-in scene names beside itself, by name, and their content."""
+    entries = parse_toml(scene_text(name))
+    named = [table["file"] for table in entries.get("networks", {}).values() if "file" in table]
+    return {x: _built_in(name).with_name(x).read_text(encoding="utf-8") for x in named}
+
+
 def load_scene(source: str | Path) -> Scene:
     """Return a built-in scene or one that is read from a TOML file.
 
@@ -352,6 +361,8 @@ def load_scene(source: str | Path) -> Scene:
 
 def place_files(entries: dict[str, Any], source: str | Path) -> dict[str, Any]:
     """Return the entries of a scene file with the paths of the files that it names made whole."""
+    if isinstance(source, str) and source in scene_names():
+        source = _built_in(source)
     return place_networks(place_table(entries, source), source)
 
 
@@ -381,17 +392,22 @@ _BARE = re.compile(r"^[ \t]*[\w.]+[ \t]*=[ \t]*([\d.]+ *[A-Za-zµ%][^\s#]*)", re
 """A quantity without quotes in a scene file."""
 
 
-def scene_text(source: str | Path) -> str:
-    """Return a scene as its author wrote it: the TOML of a built-in scene or of a file."""
+def _built_in(name: str) -> Path:
+    """Return the file of a built-in scene."""
     from importlib.resources import files
 
+    return Path(str(files("multicell.scenes") / f"{name}.toml"))
+
+
+def scene_text(source: str | Path) -> str:
+    """Return a scene as its author wrote it: the TOML of a built-in scene or of a file."""
     if isinstance(source, Mapping):
         hint = "A dict becomes one by mc.Scene.from_dict({...})."
         raise SceneError("", "a table of values is no name and no path of a scene", hint)
     if not isinstance(source, str | Path):
         raise SceneError("", f"{shown(source)} is no name and no path of a scene")
     if isinstance(source, str) and source in (names := scene_names()):
-        return (files("multicell.scenes") / f"{source}.toml").read_text(encoding="utf-8")
+        return _built_in(source).read_text(encoding="utf-8")
     path = Path(os.path.expanduser(source))
     bare = isinstance(source, str) and not path.suffix and path.name == source
     try:

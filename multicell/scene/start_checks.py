@@ -109,6 +109,7 @@ def _check_phases(scene: Scene, given: Given) -> None:
         given.refuse(wrong, "phase", "is {}, but the cell proliferates", hint)
     if "progress" in columns and "phase_length" in columns:
         beyond = columns["progress"] > columns["phase_length"] * (1.0 + _ROUNDING)
+        beyond &= ~growth.waits[columns["phase"].astype(int)]
         problem = "is {}, more than the length of the phase"
         given.refuse(beyond & (state <= State.QUIESCENT), "progress", problem)
 

@@ -21,8 +21,10 @@ from multicell.biology.exposure import Exposure, remainders
 from multicell.biology.growth import growth_factor, lag_after
 from multicell.biology.states import irradiate
 from multicell.biology.step import age_cells, bind_changed, decide, divide_and_remove, grow
+from multicell.biology.waiting import watched
 from multicell.mechanics import neighbours
 from multicell.results.observables import contact_rows
+from multicell.simulation.passages import Passed, after_conditions
 from multicell.simulation.run_state import RunState
 from multicell.simulation.timeline import Laps
 
@@ -60,14 +62,25 @@ def next_state(run: Machinery, state: RunState) -> RunState:
     lap("events")
     jumps = timeline.plan.jumps_at(end)
     lived = _exposed(run, state, people, found, timeline, jumps, lap)
-    cells, lineage = lived.cells, lived.lineage
+    passed = Passed(
+        lived.cells,
+        people.contacts,
+        lived.lineage,
+        people.named,
+        people.next_id,
+        lived.released,
+    )
+    if plan.awaited:
+        passed = after_conditions(run, state, passed, lived.exposure, lived.met, grown.factor, end)
+        lap("events")
+    cells, lineage, next_id = passed.cells, passed.lineage, passed.next_id
     if plan.radiation:
         cells, dead = irradiate(plan, cells, run.field_system.concentrations, begin, end)
         lineage = lineage.died(cells, dead, end)
     growth = None
     if plan.growth is not None and not jumps:
         # a jump changes nothing of the step that it ends
-        here = run.signals(cells, people.contacts, end)
+        here = run.signals(cells, passed.contacts, end)
         growth = growth_factor(plan, here, cells.pressure, cells)
         lag = lag_after(plan, state.cells, factor, cells, growth, end - begin)
         cells = cells.changed(lag=lag)
@@ -76,17 +89,17 @@ def next_state(run: Machinery, state: RunState) -> RunState:
         cells=cells,
         timeline=timeline,
         fields=run.field_system.state,
-        contacts=people.contacts,
+        contacts=passed.contacts,
         lineage=lineage,
-        next_id=people.next_id,
-        unsorted=people.unsorted,
-        divisions=state.divisions + (people.next_id - state.next_id) // 2,
+        next_id=next_id,
+        unsorted=people.unsorted + next_id - people.next_id,
+        divisions=state.divisions + (next_id - state.next_id) // 2,
         removals=state.removals + people.removals,
-        released=lived.released,
+        released=passed.released,
         separation=separation,
         first_states=state.first_states,
         exposures=lived.exposures,
-        named=people.named,
+        named=passed.named,
         replays=moved.replays,
         stability=moved.stability,
         work=run.work(),
@@ -187,12 +200,17 @@ def sorted_in_space(cells: Cells, unsorted: int) -> tuple[Cells, int]:
 
 @final
 class _Lived(NamedTuple):
-    """The cells after all that they do about what they find, as in :class:`_People`."""
+    """The cells after all that they do about what they find, as in :class:`_People`.
+
+    - ``exposure``: what they have found; ``met``: when what they wait for in networks came true
+    """
 
     cells: Cells
     lineage: Lineage
     released: float
     exposures: Mapping[str, float]
+    exposure: Exposure
+    met: FloatArray | None
 
 
 def _exposed(
@@ -215,17 +233,18 @@ def _exposed(
     begin, end = state.timeline.time, timeline.time
     jumped = timeline.plan.changes_at(begin)
     # whether more than the ends of the step matters: rates, or fields that jumped
-    followed: Collection[str] = plan.exposed if plan.acting or jumped else ()
+    followed = plan.exposed if plan.acting or jumped else frozenset()
+    followed = followed.union(*(part.needs for part in plan.awaited))
     if plan.networks is not None:
-        followed = {*followed, *plan.networks.inputs}
+        followed = followed | plan.networks.inputs
     marches, until = fields.marches, cast(Any, 1.0)
     again = marches and (plan.acting or jumped)
     attempt = run, state, people, found, timeline, fields.steady if jumps else (), followed, lap
-    exposure, decided, correction = _attempt(*attempt, until)
+    exposure, decided, correction, met = _attempt(*attempt, until)
     if again and np.count_nonzero(decided.died):
         until = np.where(decided.died, 1.0 - decided.cells.age / (end - begin), 1.0)
         fields.state = state.fields
-        exposure, decided, correction = _attempt(*attempt, until)
+        exposure, decided, correction, met = _attempt(*attempt, until)
     cells, dead, released = decided
     lineage, exposures = people.lineage, state.exposures
     if np.count_nonzero(dead):
@@ -245,7 +264,7 @@ def _exposed(
         exposure.cells = cells
         cells = change_types(plan, cells, exposure)
     cells = bind_changed(plan, decided.cells, cells, exposure.signals, end)
-    return _Lived(cells, lineage, people.released + released, exposures)
+    return _Lived(cells, lineage, people.released + released, exposures, exposure, met)
 
 
 def _attempt(
@@ -258,15 +277,15 @@ def _attempt(
     followed: Collection[str],
     lap: Laps,
     until: Any,
-) -> tuple[Exposure, Decided, float | None]:
+) -> tuple[Exposure, Decided, float | None, FloatArray | None]:
     """Bring fields and networks through a step, these until a part of it, (n,), and let some die.
 
     Also returns by what part the fields at the end have changed the networks that change them, and
-    None where no network does.
+    None where no network does; and when what cells wait for in their networks came true, (n,).
     """
     plan, fields, cells = run.plan, run.field_system, people.cells
     begin, end, networks = state.timeline.time, timeline.time, run.plan.networks
-    predicted, ahead, correction = cells, None, None
+    predicted, ahead, correction, met = cells, None, None, None
     threads = run.mover.system.threads
     if networks is not None and networks.change_fields:
         # the fields need what networks do at the end of the step
@@ -283,7 +302,8 @@ def _attempt(
     if networks is not None:
         cells = cells.shared()
         find = partial(run.signals, contacts=people.contacts, time=end)
-        networks.advance(
+        waiting = watched(plan, cells, end - begin) if plan.awaited else None
+        met = networks.advance(
             cells,
             state.cells,
             find,
@@ -293,6 +313,7 @@ def _attempt(
             threads,
             next_id=people.next_id,
             courses=fields.courses,
+            waiting=waiting,
         )
         if networks.change_fields:
             networks.note_shares(cells, fields.shares(cells), end - begin)
@@ -309,4 +330,4 @@ def _attempt(
     decided = decide(plan, cells, exposure.signals, exposure, ahead=timeline.ahead, time=end)
     exposure.cells = decided.cells
     lap("biology")
-    return exposure, decided, correction
+    return exposure, decided, correction, met

@@ -305,6 +305,7 @@ BAD = {
     "fluxes.oxygen": ({"fluxes": {"oxygen": "uptake: A"}}, "not a field"),
     "cells": ({"cells": "a"}, "no type"),
     "step": ({"method": "rk4"}, "missing"),
+    "file": ({"network": None, "file": "nowhere/own.ant"}, "n.file: there is no file"),
     "units.A": ({"units": {"B": "mM"}}, "units.B"),
 }
 
@@ -337,8 +338,9 @@ def test_an_input_in_another_unit_is_converted_and_a_wrong_one_refused():
     own = {"network": model("min"), "inputs": {"source": "time"}}
     simulation = _run(STILL, follow=own)
     assert _column(simulation, "follow.~input source")[0] == pytest.approx(120.0)
-    with pytest.raises(SceneError, match="mM"):
+    with pytest.raises(SceneError, match="mM") as found:
         _run(STILL, follow={"network": model("mM"), "inputs": {"source": "time"}})
+    assert found.value.hint == "Where that is meant, scales.source says how many mM one s is."
 
 
 def test_networks_in_a_circle_are_refused():

@@ -119,6 +119,10 @@ def _growth_words(scene: Scene) -> str:
         )
         rest = "at the end of G1 only" if growth.restriction else "in any phase"
         words += f"; phases {lengths}, rest {rest}"
+        for name in CYCLE_PHASES:
+            if after := growth.phases[name].after:
+                starts = "division" if name == "G1" else name
+                words += f"; {starts} once {after}"
         words += "" if growth.hypertrophy else "; none grows beyond the volume of division"
     return words
 
