@@ -21,8 +21,8 @@ LOG_FILE: Final = "measured.log"
 """File of what is measured; it is there until all files of the comparison are."""
 
 
-class Named(Protocol):
-    """What has a name: a method of positions or of networks."""
+class ComparedMethod(Protocol):
+    """A method of positions or of networks."""
 
     @property
     def name(self) -> str:
@@ -42,15 +42,15 @@ class Measurements:
         entries = [] if lines is None else lines.entries[1:]
         self._known = {entry["method"]: entry for entry in entries if entry["method"] in names}
 
-    def find(self, method: Named) -> dict[str, Any] | None:
+    def find(self, method: ComparedMethod) -> dict[str, Any] | None:
         """Return the measurements of a method; None where there are none."""
         return self._known.get(method.name)
 
-    def has(self, methods: Sequence[Named]) -> bool:
+    def has(self, methods: Sequence[ComparedMethod]) -> bool:
         """Return whether all methods were measured."""
         return all(method.name in self._known for method in methods)
 
-    def add(self, method: Named, **found: Any) -> None:
+    def add(self, method: ComparedMethod, **found: Any) -> None:
         """Write what was measured of a method; raises OutputError if that cannot be written."""
         if self._lines is not None:
             self._lines.append([_plain({"method": method.name, **found})])
@@ -62,7 +62,7 @@ def open_measurements(
     files: Sequence[str],
     scene: Scene,
     options: Mapping[str, Any],
-    methods: Sequence[Named],
+    methods: Sequence[ComparedMethod],
     given: Sequence[Any],
     *,
     overwrite: bool,

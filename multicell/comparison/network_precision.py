@@ -33,7 +33,7 @@ from multicell.comparison.precision import NUMBERS_FILE, Precision
 from multicell.comparison.record import SAMPLES, sample_size
 from multicell.errors import SceneError
 from multicell.integrators.base import MethodInfo
-from multicell.networks.loop import CELL_REJECTIONS, CELL_STEPS, EVALUATIONS, STIFF
+from multicell.networks.loop import CELL_EVALUATIONS, CELL_REJECTIONS, CELL_STEPS, STIFF
 from multicell.networks.methods import IMPLICIT, METHODS, NetworkMethod
 from multicell.results.folder import versions
 from multicell.scene.scene import Scene, load_scene
@@ -61,7 +61,7 @@ _LOOKS: Final = {
     "rodas4": ("", "D", "-"),
 }
 _COUNTS: Final = {
-    "evaluations": EVALUATIONS,
+    "evaluations": CELL_EVALUATIONS,
     "steps": CELL_STEPS,
     "rejections": CELL_REJECTIONS,
     "implicit_steps": STIFF,
@@ -112,7 +112,7 @@ class NetworkPrecision(Precision):
         return NETWORK_NORMS
 
     def info(self, method: str) -> MethodInfo | None:
-        """Return what is known of a method; of one that is now explicit, now implicit, nothing."""
+        """Return the properties of a method; none of one that is now explicit, now implicit."""
         known = METHODS[method]
         if method == "auto":
             return None

@@ -35,7 +35,7 @@ class NetworkReference(NamedTuple):
 
     @property
     def words(self) -> str:
-        """What it is."""
+        """Method, tolerance and agreement with CVODE."""
         own = f"rodas4 at {SURE:g}"
         if np.isnan(self.cvode):
             return f"{own} (CVODE knows no events)"

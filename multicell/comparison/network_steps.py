@@ -90,7 +90,7 @@ class NetworkProblem:
 
     @property
     def scale(self) -> FloatArray:
-        """What counts as nothing of each state, (s,), in its unit."""
+        """Size of each state below which it counts as nothing, (s,), in its unit."""
         solver = self.part.solver
         return solver.absolute / solver.relative
 
@@ -149,7 +149,8 @@ def record_network(
     simulation = Simulation(scene, threads=threads)
     networks = simulation.plan.networks
     assert networks is not None
-    part, steps, last = networks.parts[name], [], None
+    part, last = networks.parts[name], None
+    steps: list[tuple[NetworkStep | None, NetworkStep]] = []
     while not simulation.finished:
         begin, time = simulation.cells, simulation.time
         simulation.step()
@@ -195,7 +196,7 @@ def _step(
 
 @final
 class NetworkRun(NamedTuple):
-    """What a method makes of all steps.
+    """Solution of all steps by a method.
 
     - ``ends``: cells at the end of each step; ``work``: what is counted of them together
     - ``wall``, ``cpu``, s; ``problem``: why it ended early, in words

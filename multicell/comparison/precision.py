@@ -59,7 +59,7 @@ class Precision(Comparison):
 
     @abstractmethod
     def info(self, method: str) -> MethodInfo | None:
-        """Return what is known of a method."""
+        """Return the properties of a method, None where nothing is known."""
 
     @abstractmethod
     def shown(self) -> tuple[str, dict[str, tuple[str, str]]]:

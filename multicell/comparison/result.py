@@ -62,7 +62,7 @@ class WorkPrecision(Precision):
         return NORMS | {name: described(name) for name in self.facts.get("metrics", ())}
 
     def info(self, method: str) -> MethodInfo | None:
-        """Return what the registry knows of a method."""
+        """Return the properties of a method in the registry."""
         return find(method)
 
     def shown(self) -> tuple[str, dict[str, tuple[str, str]]]:

@@ -50,7 +50,7 @@ CELL_STEP, IMPLICITLY, EVIDENCE, REMEMBERED = range(4)
 """Places in the memory of a cell: length of its next step (0: none yet), whether it takes
 Rosenbrock steps, steps that spoke for the other kind; after these the conditions of its events."""
 
-CELL_STEPS, CELL_REJECTIONS, STIFF, FIRED, EVALUATIONS, WORK = range(6)
+CELL_STEPS, CELL_REJECTIONS, STIFF, FIRED, CELL_EVALUATIONS, WORK = range(6)
 """Places in what is counted of a cell: accepted and rejected steps, Rosenbrock steps, events,
 evaluations of the rates; how many there are."""
 
@@ -424,4 +424,4 @@ def advance_cells(
             watch,
             seen,
         )
-        batch.work[i, EVALUATIONS], s.calls[0] = s.calls[0], 0
+        batch.work[i, CELL_EVALUATIONS], s.calls[0] = s.calls[0], 0

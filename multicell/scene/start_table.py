@@ -330,7 +330,7 @@ def with_cells(scene: Scene, source: Any) -> Scene:
 
 
 def inside_of(scene: Scene, cells: Cells) -> dict[str, FloatArray]:
-    """Return what networks hold in cells, whose names are those of the scene, by title.
+    """Return the values of networks in cells by title; their names are those of the scene.
 
     Raises SceneError if the scene has other networks than the cells.
     """

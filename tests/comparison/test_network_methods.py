@@ -109,7 +109,8 @@ def test_a_comparison_continues_with_the_methods_of_networks_that_are_left(tmp_p
     file.write_text("A = 1; A' = -0.001*A;\n", encoding="utf-8")
     scene = _scene({"file": str(file)})
     asked = {"methods": ["rodas3", "rk4"], "output": tmp_path / "out", "stepwise": 2,
-             "repeats": 1, "threads": 1, "ladder": {"step": [60.0], "tolerance": [1e-3]}}  # fmt: skip
+             "repeats": 1, "threads": 1,
+             "ladder": {"step": [60.0], "tolerance": [1e-3]}}  # fmt: skip
 
     def ends(words):
         if words.startswith("rk4"):

@@ -41,8 +41,8 @@ ALLOWED: Final = 0.01
 
 _LIMITS: Final = {"euler": 2.0, "rk4": 2.785}  # h |λ| on the negative real axis
 _FIRST = 0.45  # first step that is tried, over Euler's limit
-_TOLERANCES: Final = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1)
-_TIGHTEST: Final = 1e-8
+_TOLERANCES: Final = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1)  # up to the loosest of a scene
+_TIGHTEST: Final = 1e-8  # tried where the tightest of these fails
 
 WORDS: Final = StabilityWords(
     ends={

@@ -80,7 +80,7 @@ class PlacedSubstance:
         capacity: FloatArray | None,
         production: FloatArray | None,
     ) -> _Spread:
-        """Return what cells take up at most and secrete at nodes, mM/s, and secrete in all."""
+        """Return largest uptake and secretion at nodes, mM/s, and all secretion, amol/s."""
         cells = position, radius
         capacity = np.zeros(len(position)) if capacity is None else capacity
         sink = self.spread(*cells, capacity, "capacity")
@@ -107,9 +107,9 @@ class PlacedSubstance:
             return
         begin, end, first, last = self._course
         part = (t - begin) / (end - begin)
-        self.sink, self.secreted, self._production = (
-            (1.0 - part) * one + part * other for one, other in zip(first, last, strict=True)
-        )
+        self.sink = (1.0 - part) * first[0] + part * last[0]
+        self.secreted = (1.0 - part) * first[1] + part * last[1]
+        self._production = (1.0 - part) * first[2] + part * last[2]
         self._gained = None
 
     def _scale(self) -> None:
