@@ -23,7 +23,10 @@ _TITLE = re.compile(r"^(# .+)$", re.MULTILINE)
 _LINK = re.compile(r"\[((?:[^\[\]]|\[[^\]]*\])+)\]\((?!https?:)[^)]+\)")
 
 
-_OWN = {"paraview-pandas-scanpy": '".[export]" scanpy'}
+_OWN = {
+    "network-in-every-cell": '".[networks,study]"',
+    "paraview-pandas-scanpy": '".[export]" scanpy',
+}
 
 
 def environment(page: Path) -> str:

@@ -45,8 +45,8 @@ def conditions(scene: Scene) -> tuple[PhaseCondition, ...]:
     """
     if scene.growth is None:
         return ()
-    phases = scene.growth.phases
-    return tuple(_condition(scene, name) for name in CYCLE_PHASES if phases and phases[name].after)
+    phases = scene.growth.phases.items()
+    return tuple(_condition(scene, name) for name, part in phases if part.after is not None)
 
 
 def _condition(scene: Scene, phase: str) -> PhaseCondition:

@@ -232,7 +232,7 @@ class Growth:
             problem = "lets sizes wander without bound where growth is exponential"
             raise SceneError("volume_doubling_time", problem, hint)
         if self.waits.any() and self.law == "exponential":
-            name = next(name for name in CYCLE_PHASES if self.phases[name].after)
+            name = next(name for name in CYCLE_PHASES if self.phases[name].after is not None)
             hint = "Take law = 'linear' or 'relaxation'."
             problem = "lets sizes wander without bound where growth is exponential"
             raise SceneError(f"phases.{name}.after", problem, hint)

@@ -238,6 +238,10 @@ def special():
     yield "relative", scene
     growing = {name: scene[name] for name in ("duration", "coupling_step", "initial", "growth")}
     yield "stop", {**growing, "contact": {"law": "hertz"}, "stop_cells": 31}
+    phases = {name: {"duration": "30 min"} for name in ("G1", "S", "G2", "M")}
+    phases["S"]["after"] = "age > 20 min"
+    waiting = {**growing, "growth": {"phases": phases}, "contact": {"law": "hertz"}}
+    yield "a phase after a condition", waiting
     loose = {"contact": {"law": "hertz"}, "initial": {"count": 6, "spacing": 0.8}}
     yield "plane", {"duration": 120.0, "coupling_step": 60.0, "dimensions": 2, **loose}
     scene = settling(3, {"law": "jkr"}, "euler")
@@ -333,6 +337,7 @@ def declared(part=Scene, pattern=""):
 
 
 TEXTS = {
+    "growth.phases.*.after": ["age > 5 min"],
     "motility.towards": ["glucose"],
     "motions.*.type": ["b"],
     "radiation.*.cells": ["b"],

@@ -81,6 +81,7 @@ TEXTS = {
     "towards": FIELDS,
     "oxygen": FIELDS,
     "network": (relax.name,),
+    "after": ("age > 20 min", "pressure > 0.01 kPa", "volume > 200", "neighbours < 3"),
 }  # fmt: skip
 """Texts that name something, by their keys."""
 

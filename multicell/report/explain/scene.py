@@ -278,7 +278,10 @@ def _notes(scene: Scene) -> list[str]:
     notes += contact_notes(scene)
     entries = [e for e in effects(scene) if e.behaviour.startswith("entry into")]
     slowed = [e.behaviour for e in entries if e.law.least(e.low, e.high) < 1.0]
-    if slowed and scene.growth is not None and scene.growth.hypertrophy:
+    growth = scene.growth
+    if growth is not None and growth.waits.any():
+        slowed += [f"condition ({text})" for x in growth.phases.values() if (text := x.after)]
+    if slowed and growth is not None and growth.hypertrophy:
         notes.append(
             f"Cells that wait for their {slowed[0]} keep growing, beyond the volume of division "
             "where that takes long. growth.hypertrophy = false stops them there."
