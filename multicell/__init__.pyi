@@ -13,7 +13,10 @@ from multicell.calibration.sensitivity.analysis import sensitivity as sensitivit
 from multicell.calibration.sensitivity.result import Sensitivity as Sensitivity
 from multicell.cells import Cells as Cells
 from multicell.cells import State as State
+from multicell.comparison.network_precision import NetworkPrecision as NetworkPrecision
+from multicell.comparison.network_precision import compare_networks as compare_networks
 from multicell.comparison.result import WorkPrecision as WorkPrecision
+from multicell.comparison.stability_limits.networks import network_stability as network_stability
 from multicell.comparison.stability_limits.result import StabilityMap as StabilityMap
 from multicell.comparison.stability_limits.search import stability as stability
 from multicell.comparison.work_precision import compare as compare

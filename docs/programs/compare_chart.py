@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 SCENE, NORM = "stiff-inclusions", "worst_cell"
 
 
-def remove_times(figure: Figure) -> None:
+def remove_times(figure: Figure, norm: str = NORM) -> None:
     """Take the panel of times away; that of evaluations takes its place too, and its labels."""
     times, counts = (
-        next(axes for axes in figure.axes if axes.get_label() == f"{NORM} {name}")
+        next(axes for axes in figure.axes if axes.get_label() == f"{norm} {name}")
         for name in ("time", "cost")
     )
     first, own = times.get_position(), counts.get_position()

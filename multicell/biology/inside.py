@@ -6,19 +6,21 @@ and its parameters where events may change them. So division, removal, sorting, 
 runs treat it as they treat any column. It is NaN in cells without the network.
 
 In a coupling step the fields are solved first; then inputs are known at both ends and go linearly
-between them. A cell that was born in the step is its mother until then. A network whose inputs hang
-on what networks of neighbours are at the end of the step is solved twice, the second time with what
-the first one found: both ways are of second order.
+between them, those that are transient fields between as many moments of the step as they need. A
+cell that was born in the step is its mother until then. A network whose inputs hang on what
+networks of neighbours are at the end of the step is solved twice, the second time with what the
+first one found: both ways are of second order.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import zlib
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
@@ -34,6 +36,7 @@ from multicell.scene.networks import (
     flux_of,
     input_factor,
     network_order,
+    networks_change_fields,
 )
 from multicell.schema import Draw
 
@@ -43,6 +46,11 @@ if TYPE_CHECKING:
     from multicell.networks.solver import Inside, NetworkSolver
     from multicell.scene.networks import CellNetwork
     from multicell.scene.scene import Scene
+
+Courses = Mapping[str, tuple[FloatArray, FloatArray]]
+"""Field -> parts of a step, (k,), and (k, n) mM: what cells find then at their last places."""
+
+_MOST_PIECES: Final = 16  # of a step, for inputs that do not go straight
 
 FindSignals = Callable[[Cells], Signals]
 """Returns signals at the cells: fields in mM, and others."""
@@ -213,6 +221,7 @@ class Networks:
     - ``parts``, name -> PlacedNetwork
     - ``columns``: names of all columns of ``Cells.inside``
     - ``needs``: signals that their inputs are made of
+    - ``change_fields``: whether fields hang on them
     - ``exchanges``, (network, field) -> ``"uptake"`` or ``"secretion"``, the name of the rate, and
       the factor to amol/s
     """
@@ -239,7 +248,16 @@ class Networks:
             for name, part in scene.networks.items()
             for field in part.fluxes or ()
         }
+        self._scene = scene
+        self._given: tuple[IntArray, Mapping[str, FloatArray]] | None = None
+        self.change_fields = networks_change_fields(scene)
         self._twice = any(OF_NEIGHBOURS in name for name in self.needs)
+
+    @cached_property
+    def inputs(self) -> frozenset[str]:
+        """Signals that inputs are."""
+        parts = self.parts.values()
+        return frozenset(x for part in parts for x in (part.part.inputs or {}).values())
 
     def signals(
         self, names: Collection[str], cells: Cells, time: float, pairs: Callable[[], IntArray]
@@ -270,6 +288,8 @@ class Networks:
 
         - ``find``: returns what cells find; absent while there are no fields
         """
+        if self._given is None:
+            self._given = self._given_in(cells)
         for part in self.parts.values():
             rows = np.flatnonzero(part.has(cells))
             u = None if find is None else part.inputs(cells, find(cells))[rows]
@@ -278,6 +298,7 @@ class Networks:
                 u = np.tile(np.array(part.model.defaults, dtype=float), (len(rows), 1))
             elif part.part.start == "steady":
                 inside = self._settled(part, inside, u, cells.id[rows], time)
+            self._take_given(part, inside, cells.id[rows])
             # what comes later finds it: other networks, and those of neighbours
             known = cells.inside
             shape = len(cells), len(self.columns)
@@ -286,6 +307,38 @@ class Networks:
             whole[rows, own] = 0.0  # nothing has changed yet
             part.write(whole, rows, inside, u)
             cells.inside = whole
+
+    def _given_in(self, cells: Cells) -> tuple[IntArray, Mapping[str, FloatArray]]:
+        """Return the identities of the first cells, and values of networks that are given.
+
+        Raises SceneError for cells with other networks than those of the scene.
+        """
+        from multicell.scene.start_table import inside_of
+
+        if cells.inside is not None:
+            return cells.id, inside_of(self._scene, cells)
+        table = self._scene.initial.cells
+        if table is None or not table.given.inside:
+            return cells.id, {}
+        return table.given.columns.get("id", np.arange(len(table.given))), table.given.inside
+
+    def _take_given(self, part: PlacedNetwork, inside: Inside, ids: IntArray) -> None:
+        """Set the values that are given of the first cells."""
+        assert self._given is not None
+        known, given = self._given
+        if not given:
+            return
+        order = np.argsort(known)
+        row = order[np.searchsorted(known, ids, sorter=order)]
+        for name, values in given.items():
+            network, _, of = name.partition(".")
+            if network != part.name:
+                continue
+            names = (part.model.states, part.model.parameters)
+            place = next(k for k in (0, 1) if of in names[k])
+            column = (inside.y, inside.p)[place][:, names[place].index(of)]
+            own = values[row]
+            column[:] = np.where(np.isnan(own), column, own)
 
     def fluxes(
         self, field: str, cells: Cells, time: float
@@ -369,6 +422,7 @@ class Networks:
         threads: int = 1,
         *,
         next_id: int,
+        courses: Courses | None = None,
         waiting: Mapping[str, FloatArray] | None = None,
     ) -> FloatArray | None:
         """Bring the networks of cells through a step from ``begin`` to ``end`` (s).
@@ -378,6 +432,8 @@ class Networks:
         - ``find``: returns what cells find at its end; None: inputs are extrapolated
         - ``held``: signals that jump at the end, before which they were as at the beginning
         - ``next_id``: first identity that is free
+        - ``courses``: what fields were at the cells on the way, for inputs that are one of them;
+          all others go linearly from one end to the other
         - ``waiting``, network -> (n, 4): what cells wait for
           (:func:`multicell.biology.waiting.watched`)
 
@@ -401,7 +457,9 @@ class Networks:
                     u = np.where(np.isnan(u), np.array(part.model.defaults), u)
                 known = known.copy()
                 own = (waiting or {}).get(part.name)
-                found = self._advance(part, step, first, known, u, held, threads, own)
+                found = self._advance(
+                    part, step, first, known, u, held, threads, courses or {}, own
+                )
                 cells.inside = known
                 if found is not None:  # a cell waits for one network at a time
                     met = found if met is None else np.minimum(met, found)
@@ -416,6 +474,7 @@ class Networks:
         u: FloatArray,
         held: Collection[str],
         threads: int,
+        courses: Courses,
         waiting: FloatArray | None,
     ) -> FloatArray | None:
         """Write what becomes of one network in all cells; return when it is what they wait for."""
@@ -433,70 +492,84 @@ class Networks:
         met = None if waiting is None else np.full(len(cells), np.inf)
         if not rows.size:
             return met
-        born = step.born[rows]
         inside, before = part.read(first[rows], step.mother[rows])
-        start_u = before.copy()
         after = u[rows].copy()
         for place, name in enumerate(part.model.inputs):
             if name in part.levels and part.levels[name][1] & set(held):
                 after[:, place] = before[:, place]
         ids = cells.id[rows]
         solver = part.solver_for(threads) if threads > 1 else part.solver
-        scale = 1.0 / part.seconds
-        start, length = step.begin * scale, (step.end - step.begin) * scale
-        growth = step.growth[rows] / length
+        start, length = step.begin / part.seconds, (step.end - step.begin) / part.seconds
         if waiting is not None:
             waiting = waiting[rows]
             waiting[:, 3] = start + length * waiting[:, 3]
+        path = _path(part, step, rows, before, after, courses)
         try:
-            if born.any():
-                since = step.since[rows]
-                newborn = np.flatnonzero(born)
-                middle = _middle(
-                    step.mother[rows][newborn], before[newborn], after[newborn], since[newborn]
-                )
-                half = solver.advance(
-                    _some(inside, newborn),
-                    before[newborn],
-                    middle,
-                    start,
-                    length * since[newborn],
-                    growth=growth[newborn],
-                    diluted=part.diluted,
-                )
-                half = self._inherited(part, half, step, rows[newborn])
-                for whole, piece in zip(_arrays(inside), _arrays(half), strict=True):
-                    whole[newborn] = piece
-                before[newborn] = middle
-                inside = solver.advance(
-                    inside,
-                    before,
-                    after,
-                    start + length * np.where(born, since, 0.0),
-                    length * np.where(born, 1.0 - since, 1.0),
-                    growth=growth,
-                    diluted=part.diluted,
-                    waiting=waiting,
-                )
-            else:
-                inside = solver.advance(
-                    inside,
-                    before,
-                    after,
-                    start,
-                    length,
-                    growth=growth,
-                    diluted=part.diluted,
-                    waiting=waiting,
-                )
+            for piece in itertools.pairwise(path):
+                inside = self._through_piece(part, step, rows, solver, inside, *piece, waiting)
+                if met is not None and inside.met is not None:
+                    at = np.clip((inside.met - start) / length, 0.0, np.inf)
+                    met[rows] = np.minimum(met[rows], at)
         except NetworkFailed as failure:
             raise _failed(part, failure, ids) from None
         part.write(out, rows, inside, u[rows])
         if part.slopes.stop > part.slopes.start:
-            out[rows, part.slopes] = (after - start_u) / (step.end - step.begin)
-        if met is not None and inside.met is not None:
-            met[rows] = np.clip((inside.met - start) / length, 0.0, np.inf)
+            out[rows, part.slopes] = (after - before) / (step.end - step.begin)
         return met
+
+    def _through_piece(
+        self,
+        part: PlacedNetwork,
+        step: _Step,
+        rows: IntArray,
+        solver: NetworkSolver,
+        inside: Inside,
+        first: tuple[float, FloatArray],
+        last: tuple[float, FloatArray],
+        waiting: FloatArray | None,
+    ) -> Inside:
+        """Return the networks of some cells after a piece of a step, of which daughters are born.
+
+        - ``first``, ``last``: part of the step at both ends, and inputs there
+        - ``waiting``, (n, 4): what cells wait for, in the network's own time
+        """
+        (begin, before), (end, after) = first, last
+        born, since = step.born[rows], step.since[rows]
+        length, start = (step.end - step.begin) / part.seconds, step.begin / part.seconds
+        growth, from_here = step.growth[rows] / length, np.full(len(rows), begin)
+        newborn = np.flatnonzero(born & (since >= begin) & ((since < end) | (end == 1.0)))
+        if newborn.size:
+            at = since[newborn]
+            middle = _middle(
+                step.mother[rows][newborn],
+                before[newborn],
+                after[newborn],
+                (at - begin) / (end - begin),
+            )
+            half = solver.advance(
+                _some(inside, newborn),
+                before[newborn],
+                middle,
+                start + length * begin,
+                length * (at - begin),
+                growth=growth[newborn],
+                diluted=part.diluted,
+            )
+            half = self._inherited(part, half, step, rows[newborn])
+            for whole, piece in zip(_arrays(inside), _arrays(half), strict=True):
+                whole[newborn] = piece
+            before = before.copy()
+            before[newborn], from_here[newborn] = middle, at
+        return solver.advance(
+            inside,
+            before,
+            after,
+            start + length * from_here,
+            length * (end - from_here),
+            growth=growth,
+            diluted=part.diluted,
+            waiting=waiting,
+        )
 
     def divided(
         self,
@@ -510,13 +583,14 @@ class Networks:
         held: Collection[str] = (),
         *,
         next_id: int,
+        courses: Courses | None = None,
     ) -> None:
         """Set the networks of daughters of a step once those of their mothers are known.
 
         - ``mothers``: cells that have divided, and others, at the end of the step
         - ``rows``, (n,): of the mother of each daughter among them
         - ``began``: cells at the beginning of the step
-        - ``signals``: what ``mothers`` find at its end
+        - ``signals``: what ``mothers`` find at its end; ``courses``: and on the way
         """
         assert began.inside is not None
         assert mothers.inside is not None
@@ -527,7 +601,8 @@ class Networks:
             return {**around, **self.signals(own, cells, end, lambda: np.empty((0, 2), np.int64))}
 
         daughters.inside = began.inside[began.rows_of(daughters.parent)]
-        self.advance(daughters, began, find, begin, end, held, next_id=next_id)
+        seen = {name: (times, x[:, rows]) for name, (times, x) in (courses or {}).items()}
+        self.advance(daughters, began, find, begin, end, held, next_id=next_id, courses=seen)
         for part in self.parts.values():  # what fields have found is the mothers' still
             places = slice(part.slopes.stop, part.begin + len(part.columns))
             daughters.inside[:, places] = mothers.inside[rows, places]
@@ -586,6 +661,71 @@ class _Step:
         was = began.radius[row] * np.where(self.born, HALF, 1.0)
         self.growth = 3.0 * np.log(cells.radius / was)
         self.second = self.born & are_second(cells.id, next_id)
+
+
+def _path(
+    part: PlacedNetwork,
+    step: _Step,
+    rows: IntArray,
+    before: FloatArray,
+    after: FloatArray,
+    courses: Courses,
+) -> list[tuple[float, FloatArray]]:
+    """Return parts of a step and the inputs of cells then, (n, m), between which they go linearly.
+
+    There are as many as the networks' tolerance needs. Until they are born daughters have the mean
+    of what they find.
+    """
+    times, bends = _bends(part, rows, courses)
+    chosen = _corners(times, bends, part.part.tolerance * np.abs([before, after]).max(axis=(0, 1)))
+    path = [(0.0, before)]
+    born, since, mother = step.born[rows], step.since[rows][:, None], step.mother[rows]
+    for k in chosen[1:-1]:
+        x = times[k]
+        middle = _middle(mother, before, after, since[:, 0])
+        late = middle + (x - since) / np.maximum(1.0 - since, x - since) * (after - middle)
+        early = _middle(mother, before, after, np.full(len(rows), x))
+        bend = bends[k]
+        both = _middle(mother, np.zeros_like(bend), bend, np.ones(len(rows)))
+        own = before + x * (after - before) + bend
+        path.append(
+            (x, np.where(born[:, None], np.where(x <= since, early + both, late + bend), own))
+        )
+    return [*path, (1.0, after)]
+
+
+def _bends(part: PlacedNetwork, rows: IntArray, courses: Courses) -> tuple[FloatArray, FloatArray]:
+    """Return parts of a step, (k,), and by how much inputs are off a straight line, (k, n, m)."""
+    inputs = {
+        place: (*courses[signal], part.levels[name][2])
+        for place, name in enumerate(part.model.inputs)
+        if (signal := (part.part.inputs or {}).get(name, "")) in courses
+    }
+    times = np.unique(np.concatenate([[0.0, 1.0], *(known for known, *_ in inputs.values())]))
+    bends = np.zeros((len(times), len(rows), len(part.model.inputs)))
+    for place, (known, values, factor) in inputs.items():
+        own = factor * values[:, rows]
+        right = np.clip(np.searchsorted(known, times), 1, len(known) - 1)
+        share = (times - known[right - 1]) / (known[right] - known[right - 1])
+        there = own[right - 1] + share[:, None] * (own[right] - own[right - 1])
+        bends[:, :, place] = there - there[0] - times[:, None] * (there[-1] - there[0])
+    return times, bends
+
+
+def _corners(times: FloatArray, bends: FloatArray, allowed: FloatArray) -> list[int]:
+    """Return the moments between which straight lines are near enough to a path, both ends too."""
+    chosen = [0, len(times) - 1]
+    while len(chosen) <= min(_MOST_PIECES, len(times) - 1):
+        right = np.clip(np.searchsorted(times[chosen], times), 1, len(chosen) - 1)
+        one, other = (np.array(chosen)[right - k] for k in (1, 0))
+        share = ((times - times[one]) / (times[other] - times[one]))[:, None, None]
+        off = np.abs(bends - bends[one] - share * (bends[other] - bends[one])).max(axis=1)
+        excess = (off - allowed).max(axis=1, initial=-1.0)
+        worst = int(excess.argmax())
+        if not excess[worst] > 0.0:
+            break
+        chosen = sorted([*chosen, worst])
+    return chosen
 
 
 def _arrays(inside: Inside) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -12,7 +12,7 @@ from multicell.cli.process import complain, print_json
 from multicell.schema import separated
 
 if TYPE_CHECKING:
-    from multicell.comparison.result import WorkPrecision
+    from multicell.comparison.precision import Precision
     from multicell.comparison.stability_limits.result import StabilityMap
     from multicell.scene.scene import Scene
 
@@ -41,6 +41,15 @@ _comparing = shared.grouped(
         **shared.listed_names(shared.known_methods),
         help="Methods to compare, separated by commas; by default all that can hold the scene. "
         "One of your own is named as mine.py:Midpoint.",
+    ),
+    click.option(
+        "--networks",
+        "network",
+        metavar="[NAME]",
+        is_flag=False,
+        flag_value="",
+        help="Take the methods of a network inside the cells in place of those of positions; its "
+        "name may be left out where the scene has one.",
     ),
     shared.threads_option,
     shared.overwrite_option("Replace earlier results."),
@@ -72,38 +81,56 @@ _comparing = shared.grouped(
     "--budget", type=float, callback=_positive, help="Time for all methods together in s."
 )
 def compare_command(
-    scene: Scene, stepwise: int | None, quiet: bool, as_json: bool, **options: Any
+    scene: Scene,
+    stepwise: int | None,
+    network: str | None,
+    quiet: bool,
+    as_json: bool,
+    **options: Any,
 ) -> None:
     """Chart error against cost of integration methods on a SCENE.
 
     All methods replay the same events at the same times. The reference is computed twice, and
     its uncertainty is part of the chart. Trajectories of a growing or driven population diverge
-    with any method: compare those with --stepwise.
+    with any method: compare those with --stepwise. Networks are always compared step by step.
     """
-    from multicell.comparison.work_precision import compare as compared
+    options["progress"] = None if quiet else complain
+    result: Precision
+    if network is None:
+        from multicell.comparison.work_precision import compare as compared
 
-    result = compared(
-        scene, stepwise=stepwise or False, progress=None if quiet else complain, **options
-    )
+        result = compared(scene, stepwise=stepwise or False, **options)
+    else:
+        from multicell.comparison.network_precision import compare_networks
+
+        result = compare_networks(scene, network, stepwise=stepwise or True, **options)
     _show(result, options["output"], quiet, as_json, result.verdict())
 
 
 @click.command("stability")
 @_comparing
-def stability_command(scene: Scene, quiet: bool, as_json: bool, **options: Any) -> None:
+def stability_command(
+    scene: Scene, network: str | None, quiet: bool, as_json: bool, **options: Any
+) -> None:
     """Find the largest stable step of each method on a SCENE, and how it fails beyond.
 
     Limits are compared with theory. The cells settle first: how methods do in tissue that moves is
-    what compare --stepwise shows.
+    what compare --stepwise shows. Of networks, states of the run are taken as they are.
     """
-    from multicell.comparison.stability_limits.search import stability as limits_of
+    options["progress"] = None if quiet else complain
+    if network is None:
+        from multicell.comparison.stability_limits.search import stability as limits_of
 
-    result = limits_of(scene, progress=None if quiet else complain, **options)
+        result = limits_of(scene, **options)
+    else:
+        from multicell.comparison.stability_limits.networks import network_stability
+
+        result = network_stability(scene, network, **options)
     _show(result, options["output"], quiet, as_json)
 
 
 def _show(
-    result: WorkPrecision | StabilityMap,
+    result: Precision | StabilityMap,
     output: Path,
     quiet: bool,
     as_json: bool,

@@ -126,7 +126,7 @@ def time_again(points: Sequence[TimedPoint], problem: ReplayProblem, repeats: in
             found = replay(problem, solver)
             point.spent += found.wall
             point.repeats.append((found.wall, found.cpu))
-            point.row.update(_times(point.repeats))
+            point.row.update(solve_times(point.repeats))
 
 
 def _solve_row(
@@ -145,7 +145,7 @@ def _solve_row(
         setting,
         exact,
         SOLVED,
-        **_times([(timed.wall, timed.cpu)]),
+        **solve_times([(timed.wall, timed.cpu)]),
         spent=found.wall,
         cost=weighted_cost(found.work),
         **vars(found.work),
@@ -156,13 +156,13 @@ def _solve_row(
 def _row(method: Method, setting: float, exact: Reference, status: str, **known: Any) -> Row:
     """Return one row of the table; what is not known is NaN."""
     unmeasured = _columns(dict.fromkeys(exact.norms, math.nan), exact)
-    unknown = (*_times([(0.0, 0.0)]), "spent", *unmeasured, "cost", *vars(ChosenWork()))
+    unknown = (*solve_times([(0.0, 0.0)]), "spent", *unmeasured, "cost", *vars(ChosenWork()))
     first = {"method": method.name, "control": method.control, "setting": setting}
     known = {"status": status, "words": "", **dict.fromkeys(unknown, math.nan), **known}
     return {**first, **known, "mode": exact.problem.mode}
 
 
-def _times(repeats: Sequence[tuple[float, float]]) -> dict[str, float]:
+def solve_times(repeats: Sequence[tuple[float, float]]) -> dict[str, float]:
     """Return the columns of the times of some solves: wall and processor time in s of each."""
     found = dict(zip(("wall", "cpu"), zip(*repeats, strict=True), strict=True))
     middle = {f"{clock}_median": median(times) for clock, times in found.items()}

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from operator import methodcaller
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, Protocol, final
 
 from multicell.errors import OutputError, SceneError
 from multicell.results.documents import Lines
@@ -15,11 +15,18 @@ from multicell.results.folder import file_errors, lock_folder, make_folder, remo
 from multicell.studies.runs import MODEL_VERSION, canonical
 
 if TYPE_CHECKING:
-    from multicell.comparison.ladders import Method
     from multicell.scene.scene import Scene
 
 LOG_FILE: Final = "measured.log"
 """File of what is measured; it is there until all files of the comparison are."""
+
+
+class ComparedMethod(Protocol):
+    """A method of positions or of networks."""
+
+    @property
+    def name(self) -> str:
+        """Its name, of which no two are the same in a comparison."""
 
 
 @final
@@ -35,15 +42,15 @@ class Measurements:
         entries = [] if lines is None else lines.entries[1:]
         self._known = {entry["method"]: entry for entry in entries if entry["method"] in names}
 
-    def find(self, method: Method) -> dict[str, Any] | None:
+    def find(self, method: ComparedMethod) -> dict[str, Any] | None:
         """Return the measurements of a method; None where there are none."""
         return self._known.get(method.name)
 
-    def has(self, methods: Sequence[Method]) -> bool:
+    def has(self, methods: Sequence[ComparedMethod]) -> bool:
         """Return whether all methods were measured."""
         return all(method.name in self._known for method in methods)
 
-    def add(self, method: Method, **found: Any) -> None:
+    def add(self, method: ComparedMethod, **found: Any) -> None:
         """Write what was measured of a method; raises OutputError if that cannot be written."""
         if self._lines is not None:
             self._lines.append([_plain({"method": method.name, **found})])
@@ -55,7 +62,7 @@ def open_measurements(
     files: Sequence[str],
     scene: Scene,
     options: Mapping[str, Any],
-    methods: Sequence[Method],
+    methods: Sequence[ComparedMethod],
     given: Sequence[Any],
     *,
     overwrite: bool,

@@ -1,21 +1,22 @@
-"""Numbers of a comparison: a table of solves with errors and costs."""
+"""Numbers of a comparison: a table of solves with errors and costs, of cells or of networks."""
 
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Self
 
 import numpy as np
 
 from multicell.comparison.base import FAILED, SOLVED, Comparison, Row
 from multicell.comparison.conditioning import Conditioning
-from multicell.comparison.norms import NORMS, Norm, described
+from multicell.comparison.norms import Norm
 from multicell.errors import OutputError
 from multicell.host.extras import needs
-from multicell.integrators.registry import find
+from multicell.integrators.base import MethodInfo
 from multicell.results.documents import read_document, write_table
 from multicell.results.folder import file_errors
 from multicell.scene.scene import Scene
@@ -40,7 +41,14 @@ COMPARISON_FILES: Final = (
 
 @dataclass(frozen=True, eq=False)
 class SolveTable(Comparison):
-    """Error and cost of each method as numbers, without pictures."""
+    """Error and cost of each method as numbers, without pictures; abstract.
+
+    - ``scene``, ``table``, ``facts``: see :class:`multicell.comparison.base.Comparison`
+    - ``uncertainty``, norm -> float: of the reference: an error is known no better than this
+    - ``clock``, "wall" or "cpu": the time that judges
+    - ``conditioning``: of single coupling steps, where it is known
+    - ``main``, ``last``: names of the norm of charts and verdicts, and of that of orders
+    """
 
     scene: Scene
     table: list[Row]
@@ -48,6 +56,24 @@ class SolveTable(Comparison):
     facts: dict[str, Any]
     clock: str = "wall"
     conditioning: Conditioning | None = None
+
+    main: ClassVar[str]
+    last: ClassVar[str]
+
+    @abstractmethod
+    def measures(self) -> Mapping[str, Norm]:
+        """Return all norms of the table by their names, those of the user's own among them."""
+
+    @abstractmethod
+    def info(self, method: str) -> MethodInfo | None:
+        """Return the properties of a method, None where nothing is known."""
+
+    @abstractmethod
+    def shown(self) -> tuple[str, dict[str, tuple[str, str]]]:
+        """Return a note and the columns of the page's table of all solves.
+
+        Column of the table -> its title and format.
+        """
 
     @classmethod
     def from_dict(cls, table: Mapping[str, Any]) -> Self:
@@ -122,10 +148,6 @@ class SolveTable(Comparison):
         """Name of each norm -> what it measures here."""
         return {name: norm.words(self.stepwise) for name, norm in self.measures().items()}
 
-    def measures(self) -> dict[str, Norm]:
-        """Return all norms of the table by their names, those of the user's own among them."""
-        return NORMS | {name: described(name) for name in self.facts.get("metrics", ())}
-
     def rows(self, method: str, status: str = SOLVED) -> list[Row]:
         """Return the rows of a method that have a status."""
         return self.with_values(method=method, status=status)
@@ -134,7 +156,7 @@ class SolveTable(Comparison):
         """Return the rows of all solves that failed."""
         return self.with_values(status=FAILED)
 
-    def within(self, error: float, norm: str = "position") -> dict[str, Row]:
+    def within(self, error: float, norm: str | None = None) -> dict[str, Row]:
         """Return for each method that reaches an error its cheapest row that does.
 
         Parameters
@@ -142,14 +164,14 @@ class SolveTable(Comparison):
         error
             Largest error; the uncertainty of the reference is added to what was measured.
         norm
-            One of :data:`multicell.comparison.norms.NORMS`.
+            One of ``norms``; absent: the first one, of verdicts.
 
         Returns
         -------
         dict
             Method -> row, the fastest first. Only measured points count: nothing is interpolated.
         """
-        self.check_norm(norm)
+        norm = self.check_norm(norm)
         reached: dict[str, Row] = {}
         open_error = self.uncertainty[norm]
         for row in self.table:
@@ -159,22 +181,11 @@ class SolveTable(Comparison):
                     reached[row["method"]] = row
         return dict(sorted(reached.items(), key=lambda item: item[1][self.clock]))
 
-    def below_floor(self, norm: str = "worst_cell_median") -> list[Row]:
-        """Return the rows whose error is not above the effect of a shift of all positions.
-
-        Such errors are indistinguishable from noise. Without conditioning there are none.
-        """
-        self.check_norm(norm)
-        if self.conditioning is None:
-            return []
-        floor = self.conditioning.floor[norm]
-        return [r for r in self.table if r["status"] == SOLVED and r[f"error_{norm}"] <= floor]
-
-    def fastest(self, error: float = 0.01, norm: str = "position") -> Row | None:
+    def fastest(self, error: float = 0.01, norm: str | None = None) -> Row | None:
         """Return the row of least time that reaches an error, or None (:meth:`within`)."""
         return next(iter(self.within(error, norm).values()), None)
 
-    def verdict(self, error: float = 0.01, norm: str = "position") -> str:
+    def verdict(self, error: float = 0.01, norm: str | None = None) -> str:
         """Return in a sentence which method reaches an error at the least cost, and by how much.
 
         It is compared with the cheapest of the other kind, implicit or explicit, or else with the
@@ -185,7 +196,8 @@ class SolveTable(Comparison):
         error, norm
             As for :meth:`within`.
         """
-        known = {name: info for name in self.methods if (info := find(name)) is not None}
+        norm = self.check_norm(norm)
+        known = {name: info for name in self.methods if (info := self.info(name)) is not None}
         reached = {
             method: row[self.clock]
             for method, row in self.within(error, norm).items()
@@ -206,7 +218,7 @@ class SolveTable(Comparison):
             words += f". A shift of all positions by {shift} moves the end further than that"
         return f"{words}."
 
-    def order(self, method: str, norm: str = "position_final", finest: int | None = None) -> float:
+    def order(self, method: str, norm: str | None = None, finest: int | None = None) -> float:
         """Return the slope of log error over log setting: the order, if the setting is a step.
 
         Parameters
@@ -214,7 +226,7 @@ class SolveTable(Comparison):
         method
             Name of the method.
         norm
-            One of :data:`multicell.comparison.norms.NORMS`.
+            One of ``norms``; absent: that of the end.
         finest
             Number of finest settings to take, by default all. Points closer to the reference
             than ten times its uncertainty are left out.
@@ -224,7 +236,7 @@ class SolveTable(Comparison):
         float
             NaN if fewer than three points are left.
         """
-        self.check_norm(norm)
+        norm = self.check_norm(norm or self.last)
         floor = 10.0 * self.uncertainty[norm]
         points = [(r["setting"], r[f"error_{norm}"]) for r in self.rows(method)]
         points = [(s, e) for s, e in points if e > floor][-(finest or len(points) or 1) :]
@@ -251,6 +263,17 @@ class SolveTable(Comparison):
         plain = {k: v for k, v in table.attrs.items() if isinstance(v, (int, float, str))}
         return found.assign_attrs(plain)
 
+    def below_floor(self, norm: str = "worst_cell_median") -> list[Row]:
+        """Return the rows whose error is not above the effect of a shift of all positions.
+
+        Such errors are indistinguishable from noise. Without conditioning there are none.
+        """
+        self.check_norm(norm)
+        if self.conditioning is None:
+            return []
+        floor = self.conditioning.floor[norm]
+        return [r for r in self.table if r["status"] == SOLVED and r[f"error_{norm}"] <= floor]
+
     def tables(self) -> Mapping[str, Sequence[Row]]:
         """Return all solves, and the conditioning of single steps."""
         found: dict[str, Sequence[Row]] = {"workprecision.csv": self.table}
@@ -258,10 +281,12 @@ class SolveTable(Comparison):
             found["conditioning.csv"] = self.conditioning.rows()
         return found
 
-    def check_norm(self, norm: str) -> None:
-        """Raise ValueError for a norm that the table does not have."""
+    def check_norm(self, norm: str | None) -> str:
+        """Return the norm that is meant; raise ValueError for one that the table does not have."""
+        norm = norm or self.main
         if norm not in self.uncertainty:
             raise ValueError(f"there is no norm {norm!r}: choose from {', '.join(self.norms)}")
+        return norm
 
 
 def _times(ratio: float) -> str:

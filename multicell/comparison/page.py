@@ -22,6 +22,8 @@ VERDICT_NORMS: Final = (
     "worst_cell_median",
     "energy",
     "gyration",
+    "state",
+    "state_median",
 )
 """Norms in which the page gives the time to reach an error."""
 
@@ -36,6 +38,28 @@ CAPTIONS: Final = {
 }
 
 
+CELL_NOTE: Final = (
+    "Times in s; errors of the positions (root mean square over the cells) and of the worst cell, "
+    "each the largest over the times or steps, in mean radii and µm; beside it the median step's "
+    "worst cell over that after a shift of all positions; cost in evaluations, where a "
+    "linearisation counts 2 and a product J·v 0.65."
+)
+"""Note of the table of all solves, and its columns: of the result's table -> title, format."""
+CELL_COLUMNS: Final = {
+    "wall": ("wall", "{:.3g}"),
+    "cpu": ("processor", "{:.3g}"),
+    "error_position": ("error", "{:.2e}"),
+    "error_worst_cell": ("worst cell", "{:.2e}"),
+    "worst_cell_um": ("worst cell / µm", "{:.2e}"),
+    "worst_cell_over_shift": ("median step / shift", "{:.2g}"),
+    "cost": ("cost", "{:,.0f}"),
+    "evaluations": ("evaluations", "{:,.0f}"),
+    "linearisations": ("linearisations", "{:,.0f}"),
+    "jacobian_products": ("J·v", "{:,.0f}"),
+    "steps": ("steps", "{:,.0f}"),
+}
+
+
 def comparison_context(result: SolveTable) -> dict[str, Any]:
     """Return the fields of ``compare.html``."""
     return {
@@ -44,9 +68,11 @@ def comparison_context(result: SolveTable) -> dict[str, Any]:
         "tiles": _tiles(result),
         "verdict": " ".join(result.verdict(error) for error in (0.01, 0.001)),
         "judge": CLOCKS[result.clock],
+        "judged": result.norms[result.main],
         "verdicts": {
             norm: {f"{target:.4g}": result.within(target, norm) for target in TARGETS}
             for norm in VERDICT_NORMS
+            if norm in result.uncertainty
         },
         "uncertainty": {
             result.norms[norm]: f"{value:.2e}" for norm, value in result.uncertainty.items()
@@ -55,6 +81,8 @@ def comparison_context(result: SolveTable) -> dict[str, Any]:
         "styles": appearance(result),
         "pale": PALE,
         "conditioning": _conditioning(result),
+        "note": result.shown()[0],
+        "columns": result.shown()[1],
         "below": [(row["method"], row["setting"]) for row in result.below_floor()],
     }
 
@@ -94,7 +122,7 @@ def _subtitle(result: SolveTable) -> str:
 def _tiles(result: SolveTable) -> dict[str, str]:
     facts = result.facts
     first, last = facts["cells"]
-    known = result.conditioning
+    known, quantity = result.conditioning, result.measures()[result.main].quantity
     shift = {}
     if known is not None:
         title = f"worst cell after a shift of {known.shift:g} µm"
@@ -105,7 +133,7 @@ def _tiles(result: SolveTable) -> dict[str, str]:
         "methods": f"{len(result.methods)}",
         "solves that failed": f"{len(result.failures())} of {len(result.table)}",
         "largest decay rate × time": f"{facts['largest_decay_rate'] * facts['time']:,.0f}",
-        "uncertainty of positions": f"{result.uncertainty['position']:.1e}",
+        f"uncertainty of {quantity}": f"{result.uncertainty[result.main]:.1e}",
         "uncertainty of the worst cell": f"{result.uncertainty['worst_cell']:.1e}",
         **shift,
     }

@@ -1,20 +1,19 @@
-"""The result of a comparison: its table, with charts and page."""
+"""The result of a comparison of methods of integration for positions."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, final
+from dataclasses import dataclass
+from typing import ClassVar, final
 
-from multicell.comparison.base import Pictures
-from multicell.comparison.numbers import SolveTable
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from multicell.comparison.norms import NORMS, Norm, described
+from multicell.comparison.precision import Precision
+from multicell.integrators.base import MethodInfo
+from multicell.integrators.registry import find
 
 
 @final
-class WorkPrecision(SolveTable):
+@dataclass(frozen=True, eq=False)
+class WorkPrecision(Precision):
     """Error and cost of each method.
 
     Attributes
@@ -45,27 +44,19 @@ class WorkPrecision(SolveTable):
         from noise (:mod:`multicell.comparison.conditioning`).
     """
 
-    template: ClassVar[str] = "compare.html"
+    main: ClassVar[str] = "position"
+    last: ClassVar[str] = "position_final"
 
-    def figure(self, norm: str = "position") -> Figure:
-        """Draw error over time and over evaluations; failures as crosses on top."""
-        from multicell.comparison.charts import workprecision
+    def measures(self) -> dict[str, Norm]:
+        """Return all norms of the table by their names, those of the user's own among them."""
+        return NORMS | {name: described(name) for name in self.facts.get("metrics", ())}
 
-        self.check_norm(norm)
-        return workprecision(self, norm)
+    def info(self, method: str) -> MethodInfo | None:
+        """Return the properties of a method in the registry."""
+        return find(method)
 
-    def pictures(self) -> Pictures:
-        """Return error over cost, for all cells and for the worst one."""
-        from multicell.comparison.page import CAPTIONS
+    def shown(self) -> tuple[str, dict[str, tuple[str, str]]]:
+        """Return a note and the columns of the page's table of all solves."""
+        from multicell.comparison.page import CELL_COLUMNS, CELL_NOTE
 
-        draw: dict[str, Callable[[], Figure]] = {
-            "workprecision.png": self.figure,
-            "worst-cell.png": partial(self.figure, "worst_cell"),
-        }
-        return {name: (drawn, CAPTIONS[name]) for name, drawn in draw.items()}
-
-    def page(self) -> dict[str, Any]:
-        """Return the fields of the page's template."""
-        from multicell.comparison.page import comparison_context
-
-        return comparison_context(self)
+        return CELL_NOTE, CELL_COLUMNS

@@ -84,11 +84,12 @@ def _info(name: str) -> MethodInfo:
     return find(name) or MethodInfo(name)
 
 
-def appearance(result: SolveTable, norm: str = "position") -> dict[str, Style]:
+def appearance(result: SolveTable, norm: str = "") -> dict[str, Style]:
     """Return the style of every method: at most eight in colour, the others in :data:`PALE`.
 
     Colours are distinguishable (:func:`distinguishable_colours`).
     """
+    norm = norm or result.main
     own = result.facts.get("looks", {})  # the name in files on disk
     preferred = {
         name: Style(*own[name]) if name in own else _style_of(_info(name))

@@ -62,7 +62,7 @@ class Surrounding(NamedTuple):
 
 @final
 class Scratch(NamedTuple):
-    """Memory of one thread for s states, m inputs and k stages."""
+    """Memory of one thread for s states, m inputs and k stages; ``calls`` counts evaluations."""
 
     u: FloatArray
     f: FloatArray
@@ -73,6 +73,7 @@ class Scratch(NamedTuple):
     jacobian: FloatArray
     matrix: FloatArray
     pivot: IntArray
+    calls: IntArray
 
 
 @_inner
@@ -88,6 +89,7 @@ def scratch_of(states, inputs, stages):
         np.empty((states, states)),
         np.empty((states, states)),
         np.empty(states, np.int64),
+        np.zeros(1, np.int64),
     )
 
 
@@ -113,6 +115,7 @@ def evaluate_network(common, here, t, y, u, out):
 def set_jacobian(common, here, t, y, s):
     """Write df/dy by differences to ``s.jacobian``; ``s.f`` has the rates at ``y``."""
     n = y.size
+    s.calls[0] += n
     for j in range(n):
         s.point[j] = y[j]
     for j in range(n):
@@ -197,6 +200,7 @@ def take_implicit(common, here, table: LinearlyImplicit, t, h, y, s, fresh):
     width = max(1e-6 * h, 1e-12 * abs(t))
     late = t + width
     evaluate_network(common, here, late, y, s.u, s.slope)
+    s.calls[0] += 1
     for i in range(n):
         s.slope[i] = (s.slope[i] - s.f[i]) / (late - t)
     for stage in range(table.m.size):
@@ -215,6 +219,7 @@ def take_implicit(common, here, table: LinearlyImplicit, t, h, y, s, fresh):
                 k[i] = s.f[i]
         else:
             evaluate_network(common, here, t + table.alpha[stage] * h, s.point, s.u, k)
+            s.calls[0] += 1
         for other in range(stage):
             c = table.c[stage, other] / h
             for i in range(n):
@@ -238,6 +243,7 @@ def take_explicit(common, here, table: Explicit, t, h, y, s):
     as the last two stages see it.
     """
     n, count = y.size, table.b.size
+    s.calls[0] += count - 1
     for i in range(n):
         s.stages[0, i] = s.f[i]
     for stage in range(1, count):

@@ -50,8 +50,9 @@ CELL_STEP, IMPLICITLY, EVIDENCE, REMEMBERED = range(4)
 """Places in the memory of a cell: length of its next step (0: none yet), whether it takes
 Rosenbrock steps, steps that spoke for the other kind; after these the conditions of its events."""
 
-CELL_STEPS, CELL_REJECTIONS, STIFF, FIRED, WORK = range(5)
-"""Places in what is counted of a cell: accepted and rejected steps, Rosenbrock steps, events."""
+CELL_STEPS, CELL_REJECTIONS, STIFF, FIRED, CELL_EVALUATIONS, WORK = range(6)
+"""Places in what is counted of a cell: accepted and rejected steps, Rosenbrock steps, events,
+evaluations of the rates; how many there are."""
 
 _STIFF = 3.0  # h |λ| at which the explicit pair is at the limit of its stability
 _SURE = 4.0  # steps in a row that speak for the other kind
@@ -68,7 +69,7 @@ class Batch(NamedTuple):
       both ends
     - ``growth`` (n,): d ln(volume)/dt over the step
     - ``start``, ``span`` (n,): when the step of each cell begins, and its length
-    - ``memory`` (n, 3 + k), ``work`` (n, 4), ``status`` (n,), ``reached`` (n,): where it ended
+    - ``memory`` (n, 3 + k), ``work`` (n, 5), ``status`` (n,), ``reached`` (n,): where it ended
     - ``waiting`` (n, 4) or (0, 4): what cells wait for (:class:`.watching.Watch`), ``met`` (n,):
       when that came true; infinite: not
     """
@@ -192,6 +193,7 @@ def _cut_at_event(common, here, rosenbrock, explicit, implicit, rules, t, h, y, 
     conditions = memory[REMEMBERED:]
     # the rates at the end are not needed where nothing but the cubic would ask for them
     evaluate_network(common, here, t + h, s.trial, s.u, s.slope)
+    s.calls[0] += 1
     x = _rises_at(common, here, rules, t, h, y, s, conditions, s.point)
     if x > 1.0:
         return h, False
@@ -307,6 +309,7 @@ def _through(
         implicit = memory[IMPLICITLY] == 1.0
         if not known:
             evaluate_network(common, here, t, y, s.u, s.f)
+            s.calls[0] += 1
             known = fresh = True
             if not _finite(s.f):
                 return CELL_NOT_FINITE, t, met
@@ -347,6 +350,7 @@ def _through(
         known, refused = False, False
         if waits:
             evaluate_network(common, here, t + h, s.trial, s.u, s.slope)
+            s.calls[0] += 1
             # the test comes before the call: so many arrays take longer to pass than a step takes
             if t + h > watch.since and not stays_below(watch, h, y, s):
                 met = _met_at(common, here, rosenbrock, explicit, implicit, watch, t, h, y, s, seen)
@@ -420,3 +424,4 @@ def advance_cells(
             watch,
             seen,
         )
+        batch.work[i, CELL_EVALUATIONS], s.calls[0] = s.calls[0], 0

@@ -23,6 +23,7 @@ from multicell.networks.loop import (
     CELL_OUT_OF_STEPS,
     CELL_STALLED,
     REMEMBERED,
+    WORK,
     Batch,
     LoopControl,
     advance_cells,
@@ -121,7 +122,7 @@ class NetworkSolver:
         self.absolute = np.ascontiguousarray(
             np.broadcast_to(absolute, len(network.states)), dtype=float
         )
-        self.work = np.zeros(4, dtype=np.int64)
+        self.work = np.zeros(WORK, dtype=np.int64)
 
     def begin(
         self, count: int, inputs: FloatArray | None = None, values: FloatArray | None = None
@@ -180,7 +181,7 @@ class NetworkSolver:
             np.full(count, start, dtype=float),
             np.full(count, span, dtype=float),
             inside.memory.copy(),
-            np.zeros((count, 4), dtype=np.int64),
+            np.zeros((count, WORK), dtype=np.int64),
             np.zeros(count, dtype=np.int64),
             np.zeros(count),
             np.empty((0, 4)) if waiting is None else np.ascontiguousarray(waiting, dtype=float),

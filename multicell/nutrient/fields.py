@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 
-from multicell.cells import Cells, FloatArray, State, rows_before
+from multicell.cells import Cells, FloatArray, Mask, State, rows_before
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.balance import FieldExchange, Ledger
 from multicell.nutrient.tissue import Tissue
@@ -256,7 +256,8 @@ class FieldSystem:
         """Bring the fields from ``begin`` to ``end`` (s), with the cells as they are at the end.
 
         What a steady field exchanged in this time is what its solution of ``begin`` said. With
-        transient ones each cell exchanges the mean of the step, at its place at the end;
+        transient ones each cell exchanges the mean of the step, at its place at the end; where
+        networks exchange with fields, what it exchanges goes linearly from one end to the other.
         ``before`` are the cells at the beginning.
 
         - ``follow``: fields of which, where they are transient, ``courses`` are to keep what cells
@@ -296,7 +297,8 @@ class FieldSystem:
             followed = [name for name in group.names if name in follow and name in self._marched]
             seen: list[tuple[float, list[FloatArray]]] = []
             group.watch = partial(self._follow, group, seen) if followed else None
-            self._advance(group, cells, tissue, begin, end, began, shares)
+            whole = np.broadcast_to(until, len(cells)) == 1.0
+            self._advance(group, cells, tissue, begin, end, began, shares, whole)
             self._settle(group, cells, tissue, end)
             for name in followed:
                 times = np.array([(time - begin) / (end - begin) for time, _ in seen])
@@ -361,10 +363,12 @@ class FieldSystem:
         end: float,
         began: Mapping[str, Demand],
         shares: FloatArray,
+        whole: Mask,
     ) -> None:
         """Bring fields to ``end``.
 
-        ``began`` is the part of the demand that the beginning sets, ``shares`` that of the end.
+        - ``began``: the part of the demand that the beginning sets; ``shares``: that of the end
+        - ``whole``, (n,): which cells exchange until the end
         """
         demand = {name: self.demand(name, cells) for name in group.names}
         shells = self._on_shells(group.names[0])
@@ -374,12 +378,14 @@ class FieldSystem:
             self.reports |= group.solve(tissue, demand, time=end)
         else:
             content = {name: self.fields[name].stored() for name in group.names}
-            mean = dict(demand)
+            mean, first = dict(demand), {}
             for name in began.keys() & demand.keys():
                 (one, two), (uptake, made) = began[name], demand[name]
-                made = None if made is None or two is None else two + shares * made
-                mean[name] = one + shares * uptake, made
-            found = group.advance(tissue, mean, begin=begin, end=end)
+                product = None if made is None or two is None else two + shares * made
+                mean[name] = one + shares * uptake, product
+                if self._fluxes is not None:
+                    first[name], mean[name] = _line(mean[name], demand[name], whole)
+            found = group.advance(tissue, mean, begin=begin, end=end, first=first)
             for name, exchange in found.items():
                 gained = self.fields[name].stored() - content[name]
                 self.ledger[name].add(exchange, stored=gained)
@@ -630,6 +636,25 @@ def _shares(
     born = before.id[row] != cells.id
     since = np.minimum(cells.age / dt, 1.0)
     return row, np.where(born, 0.5 * (1.0 - since), 0.5), np.where(born, since, 0.5)
+
+
+def _line(mean: Demand, last: Demand, whole: Mask) -> tuple[Demand, Demand]:
+    """Return the demands at both ends between which it goes linearly through a step.
+
+    They have the mean, and where that can be, with none below zero, the last one at the end. Where
+    cells do not exchange until the end, both are the mean.
+    """
+    ends: list[tuple[FloatArray | None, FloatArray | None]] = []
+    for middle, end in zip(mean, last, strict=True):
+        if middle is None or end is None:
+            ends.append((middle, middle))
+            continue
+        first = np.where(whole, np.maximum(2.0 * middle - end, 0.0), middle)
+        ends.append((first, 2.0 * middle - first))
+    (one, uptake), (two, made) = ends
+    assert one is not None
+    assert uptake is not None
+    return (one, two), (uptake, made)
 
 
 def factors(scene: Scene, what: str, name: str) -> tuple[FloatArray, FloatArray | None]:

@@ -61,7 +61,12 @@ _ROUNDING: Final = 1e-12
 
 
 def advance_finite_fields(
-    group: FieldGroup, tissue: Tissue, demand: Demand, begin: float, end: float
+    group: FieldGroup,
+    tissue: Tissue,
+    demand: Demand,
+    begin: float,
+    end: float,
+    first: Demand | None = None,
 ) -> dict[str, FieldExchange]:
     """Bring fields, one of them with a finite medium, from ``begin`` to ``end`` (s).
 
@@ -70,6 +75,7 @@ def advance_finite_fields(
     has changed by.
     """
     exchange = _Exchange(group, tissue, demand, begin)
+    group.change_demand(first, begin, end)
     for time, level in (exchange.nutrient.media or ())[exchange.medium.changes :]:
         if time <= end:
             exchange.march(max(time, exchange.now))

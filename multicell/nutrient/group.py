@@ -87,17 +87,27 @@ class FieldGroup:
         }
 
     def advance(
-        self, tissue: Tissue, demand: Demand, *, begin: float, end: float
+        self,
+        tissue: Tissue,
+        demand: Demand,
+        *,
+        begin: float,
+        end: float,
+        first: Demand | None = None,
     ) -> dict[str, FieldExchange]:
         """Bring transient fields from ``begin`` to ``end`` (s).
 
         The grid is laid round the cells first. What it encloses then and did not before is the
         medium of the moment, counted as ``relaid``.
+
+        - ``first``: demand at the beginning, from which it goes linearly to ``demand``; what it
+          lacks does not change
         """
         if any(field.well_mixed is not None for field in self.fields.values()):
-            return finite.advance_finite_fields(self, tissue, demand, begin, end)
+            return finite.advance_finite_fields(self, tissue, demand, begin, end, first)
         before = [field.stored() for field in self.fields.values()]
         self.begin(tissue, demand, begin, carry=True)
+        self.change_demand(first, begin, end)
         relaid = self.masses() - np.array(before)
         nutrients = [field.parameters.nutrient for field in self.fields.values()]
         scales = np.array([FADED * n.highest for n in nutrients])
@@ -127,6 +137,12 @@ class FieldGroup:
         self._set_equation(tissue.radius, demand)
         first = np.array([self._first(f, time, carry) for f in fields])
         self.state = SimpleNamespace(data=first, equation=self.equation)
+
+    def change_demand(self, first: Demand | None, begin: float, end: float) -> None:
+        """Let demand go linearly from ``first`` to what it is at the end."""
+        for name, demand in (first or {}).items():
+            placed = self.equation.substances[name]
+            placed.change_demand(self.position, self.radius, *demand, begin, end)
 
     def _first(self, field: NutrientField, time: float, carry: bool) -> FloatArray:
         """Return the values that a field begins with on the layout."""

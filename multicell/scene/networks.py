@@ -255,11 +255,22 @@ def columns_of_network(scene: Scene, name: str) -> tuple[str, ...]:
     own = [*model.states, *(model.parameters if model.events else ())]
     hidden = [f"input {x}" for x in model.inputs]
     hidden += ["step", "kind", "evidence", *(f"event {event.name}" for event in model.events)]
-    if any(other.fluxes for other in scene.networks.values()):
+    if networks_change_fields(scene):
         hidden += [f"slope of {x}" for x in model.inputs]
         hidden += [f"share of {x}" for x in part.fluxes or ()]
         hidden += [f"slope of share of {x}" for x in part.fluxes or ()]
     return tuple(f"{name}.{x}" for x in (*own, *(f"{HIDDEN}{x}" for x in hidden)))
+
+
+def networks_change_fields(scene: Scene) -> bool:
+    """Return whether fields hang on networks: by fluxes, or by responses of uptake or secretion."""
+    if any(part.fluxes for part in scene.networks.values()):
+        return True
+    exchanges = tuple(f"{what} of " for what in EXCHANGES)
+    return bool(scene.networks) and any(
+        response.behaviour.startswith(exchanges) and any("." in name for name in response.signals)
+        for response in scene.responses.values()
+    )
 
 
 def network_columns(scene: Scene) -> tuple[str, ...]:

@@ -35,7 +35,7 @@ from multicell.errors import SceneError
 from multicell.plugins.named import OWN_OBJECT
 from multicell.scene.checks import check_kinds
 from multicell.scene.dependences import followed
-from multicell.scene.networks import check_kinds_have, check_network_signal
+from multicell.scene.networks import check_kinds_have, check_network_signal, network_signals
 from multicell.scene.oxygen import concentration
 from multicell.scene.parts import loaded_in
 from multicell.scene.reactions import group_of
@@ -343,12 +343,13 @@ def in_base_units(scene: Scene, part: Response) -> Response:
             raise SceneError("signal", problem, hint)
         if behaviour.of == "field" and signal not in (
             *scene.nutrients,
+            *network_signals(scene),
             "age",
             "volume",
             "radius",
             "pressure",
         ):
-            hint = "Uptake and secretion respond to fields, pressure, age and size."
+            hint = "Uptake and secretion respond to fields, networks, pressure, age and size."
             raise SceneError("signal", f"is {signal!r}", hint)
     changed: dict[str, Any] = {}
     if len(part.signals) == 1:

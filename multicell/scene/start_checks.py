@@ -40,6 +40,7 @@ def check_start_table(scene: Scene) -> None:
     _check_phases(scene, given)
     _check_sizes(scene, given)
     _check_places(scene, given)
+    _check_inside(scene, given)
 
 
 def deep_overlaps(scene: Scene) -> int:
@@ -147,3 +148,23 @@ def _check_places(scene: Scene, given: Given) -> None:
     problem = f"is {value:g} um, outside the domain: beyond its side {side}"
     hint = "Widen the domain, or move the cells."
     raise DataError(given.place(row, axis), problem, hint)
+
+
+def _check_inside(scene: Scene, given: Given) -> None:
+    """Check that values of networks are of networks here, in cells that have these."""
+    if not given.inside:
+        return
+    from multicell.scene.networks import HIDDEN, columns_of_network
+
+    own = {x: name for name in scene.networks for x in columns_of_network(scene, name)}
+    known, kinds = [name for name in own if HIDDEN not in name], kinds_of(scene, given)
+    for name, values in given.inside.items():
+        if name not in known:
+            hint = near_miss(name, known) if known else "The scene has no networks."
+            title = given.titles[name]
+            raise DataError(f"{given.source.name}, '{title}'", "is no value of a network", hint)
+        types = scene.networks[own[name]].types
+        if types and kinds is not None:
+            has = np.isin(kinds, [list(scene.types).index(kind) for kind in types])
+            problem = f"is {{}}, but cells of this type have no network {own[name]!r}"
+            given.refuse(~has & ~np.isnan(values), name, problem, "Leave it empty.")

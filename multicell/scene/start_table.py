@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -87,6 +88,9 @@ _COINCIDING: Final = 0.01
 CONCENTRATION_PREFIX: Final = "concentration_"
 """Beginning of the names of columns with what cells found of a field."""
 
+_OF_NETWORK: Final = re.compile(r"[A-Za-z_]\w*\.[A-Za-z_]\w*")
+"""Title of a column with a value of a network in each cell."""
+
 _NAMES: Final[Mapping[str, Mapping[str, int]]] = {
     "state": {state.name.lower(): int(state) for state in State},
     "phase": {phase.name: int(phase) for phase in Phase},
@@ -101,7 +105,8 @@ class Given:
     """The cells at the start as a table states them.
 
     - ``columns``, name -> (n,): of :data:`START_COLUMNS`, in base units; ``state`` and ``phase`` as
-      numbers of :class:`State` and :class:`Phase`, ``kind`` as places in ``kinds``
+      numbers of :class:`State` and :class:`Phase`, ``kind`` as places in ``kinds``. After them
+      values of networks, ``NETWORK.NAME``, NaN where there is none
     - ``kinds``: the types that are named
     - ``source``: the table as it was read
     - ``titles``: title in the source by name
@@ -130,9 +135,14 @@ class Given:
         said = repr(value) if isinstance(value, str) else f"{value:g}"
         raise DataError(self.place(row, name), problem.format(said) + more, hint)
 
+    @property
+    def inside(self) -> dict[str, FloatArray]:
+        """Values of networks by column, (n,)."""
+        return {name: x for name, x in self.columns.items() if _OF_NETWORK.fullmatch(name)}
+
     def content(self) -> bytes:
         """Return the table as CSV that is read back bit by bit."""
-        titles = ",".join(titled(name, START_COLUMNS[name]) for name in self.columns)
+        titles = ",".join(titled(name, START_COLUMNS.get(name, "")) for name in self.columns)
         blocks = [titles.encode()]
         for start in range(0, len(self), _BLOCK):  # text takes ten times the memory of numbers
             fields = (self._texts(name, slice(start, start + _BLOCK)) for name in self.columns)
@@ -247,7 +257,9 @@ class StartTable:
             raise SceneError("file", f"'{self.file}' {error.problem}", hint) from None
         if content.startswith(b"\x89HDF\r\n\x1a\n"):  # from here on it is the table that is in it
             path = Path(self.file)
-            known = from_h5ad(path, lambda title: _title(title, path.name) is not None)
+            # a point in a name says nothing of whose it is: others' annotations are left out
+            own = lambda title: "." not in title and _title(title, path.name) is not None  # noqa: E731
+            known = from_h5ad(path, own)
             content = normalise(from_object(known, path.name)).content()
         elif (foreign := self._foreign(content)) is not None:
             content = foreign
@@ -312,11 +324,29 @@ def with_cells(scene: Scene, source: Any) -> Scene:
         return scene.with_changes({"initial.cells": str(source)})
     if isinstance(source, Mapping) and isinstance(source.get("file"), str | Path):
         return scene.with_changes({"initial.cells": {**source, "file": str(source["file"])}})
-    table = in_memory(
-        _columns_of(source, tuple(scene.types)) if isinstance(source, Cells) else source
-    )
+    if isinstance(source, Cells):
+        inside = inside_of(scene, source)
+        source = {**_columns_of(source, tuple(scene.types)), **inside}
+    table = in_memory(source)
     # the scene is checked with the table, which is known as long as it is held here
     return scene.with_changes({"initial.cells": table.__getstate__()})
+
+
+def inside_of(scene: Scene, cells: Cells) -> dict[str, FloatArray]:
+    """Return the values of networks in cells by title; their names are those of the scene.
+
+    Raises SceneError if the scene has other networks than the cells.
+    """
+    from multicell.scene.networks import HIDDEN, network_columns
+
+    if cells.inside is None:
+        return {}
+    names = network_columns(scene)
+    if len(names) != cells.inside.shape[1]:
+        problem = "have networks that are not those of this scene"
+        raise SceneError("initial.cells", problem, "Give the frame's to_pandas() in their place.")
+    pairs = zip(names, cells.inside.T, strict=True)
+    return {name: values for name, values in pairs if HIDDEN not in name}
 
 
 def _columns_of(cells: Cells, types: tuple[str, ...]) -> dict[str, NDArray[Any]]:
@@ -340,6 +370,8 @@ def _title(title: str, place: str) -> Title | None:
         **{alias: START_COLUMNS[name] for alias, name in ALIASES.items()},
         **IGNORED_COLUMNS,
     }
+    if _OF_NETWORK.fullmatch(title):
+        return Title(title, 1.0)
     return read_title(title, known, place)
 
 
@@ -360,7 +392,8 @@ def normalise(source: Columns) -> Given:
     made: dict[str, NDArray[Any]] = {}
     given = Given(made, (), source, titles)
     _one_frame(given)
-    for name in (name for name in START_COLUMNS if name in titles):
+    networks = (name for name in titles if _OF_NETWORK.fullmatch(name))
+    for name in (*(name for name in START_COLUMNS if name in titles), *networks):
         raw = source.columns[titles[name]]
         if name != "kind":
             made[name] = _read_column(given, name, raw, factors[name])
@@ -470,6 +503,9 @@ def _read_column(given: Given, name: str, raw: NDArray[Any], factor: float) -> N
         wrong = ~((raw >= 0) & (raw <= 100) & (raw == np.floor(raw)))
         given.refuse(wrong, name, "is {}, must be a whole number from 0 to 100")
         return raw.astype(np.int8)
+    if _OF_NETWORK.fullmatch(name):
+        given.refuse(np.isinf(raw), name, "is {}, must be a finite number")
+        return raw.astype(np.float64)
     values = raw.astype(np.float64) * factor if factor != 1.0 else raw.astype(np.float64)
     missing = np.isnan(values)
     if missing.any():

@@ -239,6 +239,8 @@ def _exposed(
     # whether more than the ends of the step matters: rates, or fields that jumped
     followed = plan.exposed if plan.acting or jumped else frozenset()
     followed = followed.union(*(part.needs for part in plan.awaited))
+    if plan.networks is not None:
+        followed = followed | plan.networks.inputs
     marches, until = fields.marches, cast(Any, 1.0)
     again = marches and (plan.acting or jumped)
     attempt = run, state, people, found, timeline, fields.steady if jumps else (), followed, lap
@@ -288,8 +290,8 @@ def _attempt(
     plan, fields, cells = run.plan, run.field_system, people.cells
     begin, end, networks = state.timeline.time, timeline.time, run.plan.networks
     predicted, ahead, correction, met = cells, None, None, None
-    threads, exchanges = run.mover.system.threads, networks is not None and networks.exchanges
-    if networks is not None and exchanges:
+    threads = run.mover.system.threads
+    if networks is not None and networks.change_fields:
         # the fields need what networks do at the end of the step
         predicted = cells.shared()
         ahead = networks.shares_ahead(predicted, end - begin)
@@ -314,9 +316,10 @@ def _attempt(
             held,
             threads,
             next_id=people.next_id,
+            courses=fields.courses,
             waiting=waiting,
         )
-        if exchanges:
+        if networks.change_fields:
             networks.note_shares(cells, fields.shares(cells), end - begin)
             correction = networks.correction(predicted, cells)
     exposure = Exposure(

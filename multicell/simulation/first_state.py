@@ -113,7 +113,7 @@ def _with_networks(run: Machinery, state: RunState) -> RunState:
         return run.signals(some, state.contacts, time)
 
     networks.begin(cells, find, time)
-    for _ in range(_MOST_TURNS if networks.exchanges else 0):
+    for _ in range(_MOST_TURNS if networks.change_fields else 0):
         before = dict(fields.concentrations)
         fields.begin(cells, time, again=True)
         networks.begin(cells, find, time)
@@ -125,7 +125,7 @@ def _with_networks(run: Machinery, state: RunState) -> RunState:
         ):
             break
     else:
-        if networks.exchanges:
+        if networks.change_fields:
             problem = "networks and the fields that they change do not settle at the start"
             raise NutrientFailed(problem, "Let the fields begin with the medium (initial).")
     return replace(state, cells=cells)

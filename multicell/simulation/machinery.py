@@ -7,7 +7,9 @@ before they are used.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Final, final
+
+import numpy as np
 
 from multicell.biology.growth import growth_factor
 from multicell.biology.motion import motion_of
@@ -27,17 +29,32 @@ if TYPE_CHECKING:
     from multicell.simulation.run_state import RunState
 
 
+_NOBODY: Final = np.zeros((0, 2), dtype=np.int64)  # touch: fields respond to no neighbours
+
+
 def fields_of(
     scene: Scene, reactions: Mapping[str, OwnReaction] | None, threads: int, plan: BiologyPlan
 ) -> FieldSystem:
     """Return the fields of a scene, to which its cells respond."""
-
-    def respond(behaviour: str, cells: Cells, found: Mapping[str, FloatArray]) -> FloatArray | None:
-        return value_of(plan, behaviour, 1.0, found, cells, early=True)
-
     networks = plan.networks
-    fluxes = None if networks is None or not networks.exchanges else networks.fluxes
-    return FieldSystem(scene, reactions, threads, respond, fluxes)
+    if networks is None or not networks.change_fields:
+
+        def respond(
+            behaviour: str, cells: Cells, found: Mapping[str, FloatArray]
+        ) -> FloatArray | None:
+            return value_of(plan, behaviour, 1.0, found, cells, early=True)
+
+        return FieldSystem(scene, reactions, threads, respond)
+
+    def respond_inside(
+        behaviour: str, cells: Cells, found: Mapping[str, FloatArray]
+    ) -> FloatArray | None:
+        needs = {name for part in plan.responses.get(behaviour, ()) for name in part.needs}
+        inside = networks.signals(needs - {*found}, cells, system.time, lambda: _NOBODY)
+        return value_of(plan, behaviour, 1.0, {**found, **inside}, cells, early=True)
+
+    system = FieldSystem(scene, reactions, threads, respond_inside, networks.fluxes)
+    return system
 
 
 @final

@@ -140,6 +140,7 @@ def _divided(
             end,
             exposure.held,
             next_id=free,
+            courses=exposure.inner,
         )
         assert divided.inside is not None
         divided.inside[born] = daughters.inside

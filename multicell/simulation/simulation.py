@@ -171,7 +171,7 @@ class Simulation:
         extra |= run.field_system.columns(state.cells)
         if run.plan.acting:
             extra["splitting_events_error"] = abs(state.exposures.get("error", 0.0))
-        if run.plan.networks is not None and run.plan.networks.exchanges:
+        if run.plan.networks is not None and run.plan.networks.change_fields:
             extra["splitting_networks_error"] = state.exposures.get("networks", 0.0)
         if self.scene.motions:
             now = self._motion(self.time, self.time, state.cells.radius)

@@ -29,7 +29,8 @@ def hurt(folder, rng):
     if (folder / "frames.journal").is_file():
         ways += [_shuffle] * 3
     way = rng.choice(ways)
-    small = ["scene.toml", "summary.json"]
+    copies = sorted(path.name for path in folder.glob("*.network.*"))
+    small = ["scene.toml", "summary.json", *copies]
     names = small if way is text else [*RECORD_FILES, *RECORD_FILES, *small]
     path = rng.choice([folder / name for name in names if (folder / name).is_file()])
     whole = way in (_edit, _shuffle)

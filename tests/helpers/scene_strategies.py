@@ -75,7 +75,7 @@ TEXTS = {
                   "entry into S", "speed", "receptors", "Young's modulus",
                   "uptake of oxygen", "change to soft"),
     "signal": (*FIELDS, "pressure", "age", "volume", "time", "neighbours",
-               "contacts with soft"),
+               "contacts with soft", "relax.A", "neighbours.relax.A"),
     "cells": TYPES,
     "type": TYPES,
     "towards": FIELDS,

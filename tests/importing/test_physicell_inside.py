@@ -114,10 +114,12 @@ def test_a_transition_is_the_value_of_its_species_per_minute(imported, level):
 @pytest.mark.parametrize(
     ("code", "species", "note"),
     [
-        ("vff", "moving", "the code 'vff' has no counterpart"),
-        ("mpt", "moving", "the code 'mpt' has no counterpart"),
+        ("vff", "moving", "the code 'vff' has no counterpart here: a cell has one volume"),
+        ("vtsc", "moving", "a solid part of the cytoplasm"),
+        ("vtsn", "moving", "without a nucleus"),
+        ("mpt", "moving", "keeps its direction"),
+        ("ccdr", "moving", "it is none of PhysiCell's"),
         ("da", "still", "the largest value that it can have is not known"),
-        ("ssr_growth factor", "giving", "fields respond to volumes"),
         ("ctr_7_8", "leaving", "'exit from cycle phase 7' of this type has no counterpart"),
     ],
 )
@@ -126,6 +128,37 @@ def test_codes_without_a_counterpart_are_left_out_by_name(imported, code, specie
     found = entry(made, f"{species}: {code}")
     assert found.fate is Fate.LEFT_OUT
     assert note in found.note
+
+
+@pytest.mark.parametrize(
+    ("code", "what", "field"),
+    [
+        ("ssr_growth factor", "secretion", "growth_factor"),
+        ("ssd_growth factor", "secretion", "growth_factor"),
+        ("ser_growth factor", "secretion", "growth_factor"),
+        ("sur_oxygen", "uptake", "oxygen"),
+    ],
+)
+def test_what_a_network_makes_of_fields_is_in_proportion_to_its_species(
+    imported, code, what, field
+):
+    made = imported((f'PC_phenotype="{code}"', "giving"))
+    found = entry(made, f"giving: {code}")
+    assert found.fate is Fate.APPROXIMATED, found.note
+    assert f"{what}_of_{field}" in found.key
+    behaviour, shares = f"{what} of {field}", []
+    for level in (0.0, 1.0, 2.0):
+        signals = {f"{kind}_network.giving": level for kind in ("tumour_cell", "hunter")}
+        factors, kinds = values(made, behaviour, 1.0, **signals)
+        shares.append(factors[kinds == 0].max())
+    assert shares[2] > shares[1] > shares[0] - 1e-12
+    if what == "uptake":
+        assert "second substance" in found.note
+        assert shares[1] - shares[0] == pytest.approx(shares[2] - shares[1])
+    simulation = mc.Simulation(made.scene.with_changes({"duration": "10 min"}), threads=1)
+    while not simulation.finished:
+        simulation.step()
+    assert np.isfinite(simulation.concentrations[field]).all()
 
 
 @pytest.mark.parametrize(

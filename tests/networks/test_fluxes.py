@@ -47,27 +47,63 @@ FIELDS = {
 }
 
 
-ORDERS = {"steady": (2.0, 4000.0), "steady in a finite medium": (2.0, 400.0),
-          "transient": (1.0, 4000.0)}  # fmt: skip
-"""Of the coupling of one cell, and the rate at which it eats.
-
-A transient field takes the mean exchange of a step: where diffusion is quicker than steps, what it
-is at the end follows the flux in the middle.
-"""
+RATES = {"steady": 4000.0, "steady in a finite medium": 400.0, "transient": 4000.0}
+"""The rate at which one cell eats."""
 
 
-@pytest.mark.parametrize("case", ORDERS)
-def test_order_of_the_coupling_of_fields_and_networks(case):
-    found, (order, rate) = [], ORDERS[case]
+def _order(make):
+    """Return the orders of a state and of the field by halving the step of one cell."""
+    found, orders = [], []
     for step in (1200.0, 600.0, 300.0, 150.0):
         # one cell, which does not move
-        scene = _scene(step, field=FIELDS[case], parameters={"k": rate})
-        simulation = _done(scene.with_changes({"initial.count": 1}))
+        simulation = _done(make(step).with_changes({"initial.count": 1}))
         found.append((simulation.cells.inside[0, 0], simulation.concentrations["food"][0]))
     for one in zip(*found, strict=True):
         change = [abs(a - b) for a, b in itertools.pairwise(one)]
-        slope = np.polyfit(np.log([4.0, 2.0, 1.0]), np.log(change), 1)[0]
-        assert slope == pytest.approx(order, abs=0.35), change
+        orders.append(np.polyfit(np.log([4.0, 2.0, 1.0]), np.log(change), 1)[0])
+    return orders
+
+
+@pytest.mark.parametrize("case", RATES)
+def test_fluxes_are_coupled_with_order_two(case):
+    orders = _order(
+        lambda step: _scene(step, field=FIELDS[case], parameters={"k": RATES[case]})
+    )  # fmt: skip
+    assert orders == pytest.approx([2.0, 2.0], abs=0.35)
+
+
+@pytest.mark.parametrize("case", ["steady", "transient"])
+def test_responses_of_fields_to_networks_are_coupled_with_order_two(case):
+    eats = {"behaviour": "uptake of food", "signal": "eater.E", "half": 1.0, "power": 2.0}
+    orders = _order(
+        lambda step: _scene(step, field={"uptake": 2000.0, **FIELDS[case]}, fluxes=None)
+        .with_changes({"responses": {"eats": eats}})
+    )  # fmt: skip
+    assert orders == pytest.approx([2.0, 2.0], abs=0.1)
+
+
+def test_a_response_of_the_uptake_to_a_network_is_its_value():
+    eats = {"behaviour": "uptake of food", "signal": "eater.E", "half": 1.0, "power": 2.0}
+    scene = _scene(field={"uptake": 2000.0}, fluxes=None)
+    simulation = _done(scene.with_changes({"responses": {"eats": eats}}))
+    assert "splitting_networks_error" in simulation.history_row()
+    level = simulation.cells.inside[:, 0]
+    found, made = simulation.field_system.demand("food", simulation.cells)
+    np.testing.assert_allclose(found, 2000.0 * level**2 / (1.0 + level**2), rtol=1e-12)
+    assert made is None
+
+
+@pytest.mark.parametrize("step", ["10 min", "40 min"])
+def test_a_medium_that_jumps_is_followed_within_the_step(step):
+    # diffusion takes seconds: what the cell finds is the medium, less what it takes up
+    field = {"regime": "transient", "initial": "steady", "uptake": 1e-6,
+             "media": [["1 h", 2.0], ["2 h", 0.1]]}  # fmt: skip
+    scene = _scene(step, field=field, fluxes=None).with_changes({"initial.count": 1})
+    e, made, hour = 1.0, 2e-4, 3600.0
+    for level, time in ((0.5, hour), (2.0, hour), (0.1, 2.0 * hour)):
+        rest = 1.0 + 10.0 * level
+        e = rest + (e - rest) * np.exp(-made * time)
+    assert _done(scene).cells.inside[0, 0] == pytest.approx(e, rel=2e-3)
 
 
 @pytest.mark.parametrize("case", FIELDS)

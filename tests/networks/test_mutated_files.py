@@ -10,6 +10,7 @@ pytest.importorskip("sbmlode")
 
 from sbml_text import document, event, function, reaction
 
+import multicell as mc
 from multicell.errors import SceneError
 from multicell.networks.sbml import network_from_sbml
 
@@ -78,3 +79,27 @@ def test_a_changed_document_is_read_or_refused_in_words(request):
         for one in network.events:
             one.assign(np.float64(1.0), y.copy(), u, p.copy(), y, p)
     assert outcomes == {"own.xml", ""}
+
+
+def test_a_changed_document_in_a_scene_runs_or_is_refused_in_words(request, tmp_path):
+    outcomes, file = set(), tmp_path / "own.xml"
+    first = request.config.getoption("--first-seed")
+    for seed in range(first, first + request.config.getoption("--draws")):
+        text = BASE if seed == first else mutated(random.Random(seed))
+        file.write_text(text, encoding="utf-8")
+        own = {"file": str(file), "divide": {"B": "share"}, "fluxes": {"oxygen": "uptake: r"}}
+        try:
+            scene = mc.load_scene("spheroid").with_changes({
+                "duration": "20 min", "initial.count": 3, "networks": {"own": own},
+                "responses.slow": {"behaviour": "growth rate", "signal": "own.A", "half": 1.0},
+            })  # fmt: skip
+            simulation = mc.Simulation(scene, threads=1)
+            while not simulation.finished:
+                simulation.step()
+        except mc.MulticellError as error:
+            outcomes.add(type(error).__name__)
+            assert len(str(error)) < 2000  # noqa: PT017
+        else:
+            outcomes.add("ran")
+            assert np.isfinite(simulation.cells.position).all()
+    assert {"ran", "SceneError"} <= outcomes

@@ -5,6 +5,8 @@ many as asked.
 """
 
 import random
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -26,7 +28,31 @@ CHANGES = {
     "death.lysis_time": "2 h",
     "output.every": "30 min",
 }
-SETTINGS = [part for key, value in CHANGES.items() for part in ("--set", f"{key}={value}")]
+NETWORK = """HIF1 = 0.1; count = 20; O2 = 0.05; eaten := 200*O2*HIF1;
+HIF1' = 2e-4 - 2e-2*O2*HIF1; count' = 1e-3*HIF1*count;
+at (count > 30): count = 20;
+"""
+OWN = {
+    "networks.hif.inputs": '{O2 = "oxygen"}',
+    "networks.hif.fluxes": '{oxygen = "secretion: eaten"}',
+    "responses": '{kill = {behaviour = "apoptosis rate", signal = "hif.HIF1", half = 1, '
+    'largest = "0.02 1/h"}}',
+}
+"""Changes of a run with networks, which change a field and let cells die."""
+
+
+class Undisturbed(NamedTuple):
+    """A run that nothing has disturbed, how long it took in s, and its settings."""
+
+    folder: Path
+    seconds: float
+    settings: list[str]
+
+    def command(self, verb, folder, *more):
+        if verb == "run":
+            own = ["-o", folder, *self.settings]
+            return ["run", "spheroid", *own, "--quiet", "--threads", "1", *more]
+        return ["resume", folder, "--quiet", "--threads", "1", *more]
 
 
 def summary(folder):
@@ -38,22 +64,25 @@ def summary(folder):
     }
 
 
-def command(verb, folder, *more):
-    if verb == "run":
-        return ["run", "spheroid", "-o", folder, *SETTINGS, "--quiet", "--threads", "1", *more]
-    return ["resume", folder, "--quiet", "--threads", "1", *more]
-
-
-@pytest.fixture(scope="module")
-def undisturbed(forks, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("undisturbed") / "out"
-    done = forks.multicell(*command("run", folder))
+@pytest.fixture(scope="module", params=["fields", "networks"])
+def undisturbed(forks, tmp_path_factory, request):
+    place = tmp_path_factory.mktemp("undisturbed")
+    folder, changes = place / "out", CHANGES
+    if request.param == "networks":
+        pytest.importorskip("sbmlode")
+        pytest.importorskip("antimony")
+        (place / "hif.ant").write_text(NETWORK, encoding="utf-8")
+        changes = {**CHANGES, **OWN, "networks.hif.file": f'"{place / "hif.ant"}"'}
+    settings = [part for key, value in changes.items() for part in ("--set", f"{key}={value}")]
+    made = Undisturbed(folder, 0.0, settings)
+    done = forks.multicell(*made.command("run", folder))
     assert done["code"] == 0, done["text"]
     run = mc.load_result(folder)
     assert run.summary()["divisions"] > 5
     assert run.summary()["removals"] > 0
     assert len(run.frames) == 21
-    return folder, done["seconds"]
+    assert (folder / "hif.network.ant").is_file() == (request.param == "networks")
+    return made._replace(seconds=done["seconds"])
 
 
 def assert_a_beginning(folder, whole):
@@ -78,11 +107,12 @@ def assert_a_beginning(folder, whole):
     return count
 
 
-def finish(forks, folder, whole):
+def finish(forks, folder, undisturbed):
     """Go on in a folder until its run is complete, and compare it with the undisturbed one."""
+    whole = undisturbed.folder
     count = assert_a_beginning(folder, whole)
     verb = ["resume", folder] if count else ["run", folder, "--overwrite"]
-    done = forks.multicell(*command(*verb))
+    done = forks.multicell(*undisturbed.command(*verb))
     if done["code"] == 2:
         assert "ends with the frame" in done["text"], done["text"]  # only its report was missing
     else:
@@ -99,20 +129,20 @@ def finish(forks, folder, whole):
 @pytest.mark.harness
 @pytest.mark.slow
 def test_killed_runs_go_on_to_the_same_bits(forks, undisturbed, tmp_path, pytestconfig):
-    whole, seconds = undisturbed
+    whole, seconds, _ = undisturbed
     for case in range(pytestconfig.getoption("kills")):
         rng = random.Random(case)
         folder = tmp_path / f"run{case}"
         how = _moment(rng, folder, seconds)
-        killed = forks.multicell(*command("run", folder), **how)
+        killed = forks.multicell(*undisturbed.command("run", folder), **how)
         assert killed["code"] in (0, -9), (case, killed)
         for again in range(rng.choice([0, 0, 1, 2])):
             if assert_a_beginning(folder, whole) and killed["code"] == -9:
                 how = _moment(rng, folder, seconds)
-                killed = forks.multicell(*command("resume", folder), **how)
+                killed = forks.multicell(*undisturbed.command("resume", folder), **how)
                 assert killed["code"] in (0, 2, -9), (case, again, killed)
         try:
-            finish(forks, folder, whole)
+            finish(forks, folder, undisturbed)
         except BaseException as error:
             error.add_note(f"kill {case}")
             raise
@@ -136,7 +166,7 @@ def _moment(rng, folder, seconds):
 def test_a_full_disk_ends_a_run_with_one_error_and_loses_nothing(
     forks, undisturbed, small_disk, pytestconfig
 ):
-    whole, _ = undisturbed
+    whole = undisturbed.folder
     mount, unmount = small_disk
     size = sum(entry.stat().st_size for entry in whole.iterdir()) / 1024.0
     stopped = 0
@@ -144,15 +174,15 @@ def test_a_full_disk_ends_a_run_with_one_error_and_loses_nothing(
         rng = random.Random(1000 + case)
         try:
             folder = mount(_size(rng, case, size)) / "out"
-            done = forks.multicell(*command("run", folder))
+            done = forks.multicell(*undisturbed.command("run", folder))
             stopped += _stopped_with_words(done, folder, whole)
             if rng.random() < 0.5 and done["code"] == 3 and Contents(folder).places:
                 mount(int(rng.uniform(0.5, 2.0) * size) + 200)
-                done = forks.multicell(*command("resume", folder))
+                done = forks.multicell(*undisturbed.command("resume", folder))
                 _stopped_with_words(done, folder, whole)
             mount(int(20 * size))
             if done["code"] != 0:
-                finish(forks, folder, whole)
+                finish(forks, folder, undisturbed)
         except BaseException as error:
             error.add_note(f"full disk {case}")
             raise

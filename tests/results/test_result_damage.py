@@ -35,7 +35,12 @@ CHANGES = {
     "nutrients.oxygen.necrosis": "0.0223 mM",
     "death.lysis_time": "1 h",
     "output.every": "20 min",
+    "networks.hif.inputs": {"O2": "oxygen"},
 }
+NETWORK = """HIF1 = 0.1; count = 20; O2 = 0.05;
+HIF1' = 2e-4 - 2e-2*O2*HIF1; count' = 1e-3*HIF1*count;
+at (count > 30): count = 20;
+"""
 KINDS = ("finished", "killed", "resumed and killed")
 
 STOPS = """
@@ -71,15 +76,20 @@ def folders(tmp_path_factory):
     """Folders of the same run: finished, killed, and killed after it was resumed."""
     import json
 
+    pytest.importorskip("sbmlode")
+    pytest.importorskip("antimony")
     place = tmp_path_factory.mktemp("damage")
+    (place / "hif.ant").write_text(NETWORK, encoding="utf-8")
+    changes = {**CHANGES, "networks.hif.file": str(place / "hif.ant")}
     made = {kind: place / kind.replace(" ", "-") for kind in KINDS}
-    scene = mc.load_scene("spheroid").with_changes(CHANGES)
+    scene = mc.load_scene("spheroid").with_changes(changes)
     run = mc.run(scene, output=made["finished"], threads=1, report=False)
+    assert (run.folder / "hif.network.ant").is_file()
     assert run.summary()["removals"] > 0
     assert run.summary()["divisions"] > 0
     assert len(run.frames[-1].contacts) > 0
     shutil.copytree(made["finished"], made["resumed and killed"])
-    stopped("run", made["killed"], 13, json.dumps(CHANGES))
+    stopped("run", made["killed"], 13, json.dumps(changes))
     stopped("resume", made["resumed and killed"], 14)
     whole = place / "whole"
     shutil.copytree(made["finished"], whole)

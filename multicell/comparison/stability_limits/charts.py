@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from multicell.comparison.stability_limits.trial import BLOW_UP, STABLE, STALL, TRIAL_ENDS, WRONG
+from multicell.comparison.stability_limits.trial import BLOW_UP, STABLE, STALL, WRONG
 from multicell.report.plots.style import INK, blank, few_decades, styled
 from multicell.report.wording import cell_count, clock
 
@@ -56,7 +56,7 @@ def stability_map(result: TrialTable) -> Figure:
         steps = control == "step"
         _draw_strips(axes, strips, 2.0 / first["rate"] if steps else 1.0)
         axes.tick_params(labelsize=10.5)
-        axes.set_xlabel("step / Euler's limit" if steps else "tolerance / mean radius", fontsize=11)
+        axes.set_xlabel("step / Euler's limit" if steps else result.words.tolerance, fontsize=11)
         axes.set_title("Fixed step" if steps else "Error control", fontsize=12)
         left, width = left + width + 0.125, 0.265
     handles: list[Any] = [Patch(color=TRIAL_COLOURS[kind], label=kind) for kind in result.kinds]
@@ -114,8 +114,7 @@ def stability_context(result: TrialTable) -> dict[str, Any]:
     failures = sum(row["kind"] != STABLE for row in result.table)
     return {
         "title": f"{result.title}: stability",
-        "subtitle": "The cells settle, are pushed a little along their stiffest mode, and must "
-        "come to rest again.",
+        "subtitle": result.words.subtitle,
         "tiles": {
             "cells": f"{first['cells']:,}",
             "largest decay rate λmax": f"{first['rate']:.3g}/s",
@@ -125,6 +124,7 @@ def stability_context(result: TrialTable) -> dict[str, Any]:
             "wall time": clock(result.facts["wall"]),
         },
         "colours": TRIAL_COLOURS,
-        "kinds": TRIAL_ENDS,
+        "kinds": result.words.ends,
+        "moments": result.facts.get("moments", []),
         "failed": [row for row in result.table if row["kind"] != STABLE],
     }

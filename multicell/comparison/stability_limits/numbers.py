@@ -5,14 +5,46 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, final
 
 from multicell.comparison.base import Comparison, Row
 from multicell.comparison.stability_limits.trial import STABLE, TRIAL_ENDS
 from multicell.scene.scene import Scene
 
-STABILITY_FILES: Final = ("stability.csv", "limits.csv", "stability.png", "report.html")
-"""What a study of stability writes into its folder."""
+STABILITY_FILES: Final = (
+    "stability.csv",
+    "limits.csv",
+    "moments.csv",
+    "stability.png",
+    "report.html",
+)
+"""What a study of stability writes into its folder; only of networks there is ``moments.csv``."""
+
+
+@final
+@dataclass(frozen=True)
+class StabilityWords:
+    """Words of a map of stability.
+
+    - ``ends``: kind of end of a trial -> what it means
+    - ``tolerance``: what a tolerance is; ``subtitle``, ``note``: of the page
+    """
+
+    ends: Mapping[str, str]
+    tolerance: str
+    subtitle: str
+    note: str
+
+
+OF_CELLS: Final = StabilityWords(
+    ends=TRIAL_ENDS,
+    tolerance="tolerance / mean radius",
+    subtitle="The cells settle, are pushed a little along their stiffest mode, and must come to "
+    "rest again.",
+    note="Of a method under error control the loosest tolerance in mean radii is given, and its "
+    "mean step there over Euler's limit.",
+)
+"""Words of the map of methods for positions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +54,7 @@ class TrialTable(Comparison):
     scene: Scene
     table: list[Row]
     facts: dict[str, Any]
+    words: StabilityWords = OF_CELLS
 
     @property
     def kinds(self) -> list[str]:
@@ -65,4 +98,7 @@ class TrialTable(Comparison):
 
     def tables(self) -> Mapping[str, Sequence[Row]]:
         """Return all trials, and the limits."""
-        return {"stability.csv": self.table, "limits.csv": self.limits()}
+        found = {"stability.csv": self.table, "limits.csv": self.limits()}
+        if "moments" in self.facts:
+            found["moments.csv"] = self.facts["moments"]
+        return found

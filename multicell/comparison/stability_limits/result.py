@@ -26,7 +26,9 @@ class StabilityMap(TrialTable):
         ``kind`` (a key of :data:`multicell.comparison.stability_limits.trial.TRIAL_ENDS`),
         ``words`` (what was seen), ``steps``, ``wall`` (s).
     facts : dict
-        ``precision`` of the bisection, ``wall`` (s), ``versions``.
+        ``precision`` of the bisection, ``wall`` (s), ``versions``; of a network also ``moments``:
+        for each coupling step that is tried the largest |λ| and how long fixed steps may be.
+    words : StabilityWords
     """
 
     template: ClassVar[str] = "stability.html"

@@ -137,7 +137,7 @@ def _rows(state: TrialState, method: Method, patience: float) -> list[Row]:
         return bool(rows[setting]["kind"] == STABLE)
 
     if method.control == "tolerance":
-        _search_up(stable)
+        search_up(stable, _TOLERANCES, _TIGHTEST)
         more: Sequence[float] = _TOLERANCES
     else:
         # the search starts well below Euler's limit and knows nothing of the theory
@@ -170,12 +170,13 @@ def bracket(stable: Trial, guess: float, ceiling: float) -> float:
     return bisect(stable, low, high)
 
 
-def _search_up(stable: Trial) -> None:
+def search_up(stable: Trial, tolerances: Sequence[float], tightest: float) -> None:
     """Try tolerances from tight to loose, then bisect below the first one that is not stable.
 
-    What is stable does not always hang together here: all of them are tried.
+    What is stable does not always hang together here: all of them are tried. ``tightest`` is tried
+    where the first of them fails.
     """
-    ladder = (_TIGHTEST, *_TOLERANCES) if not stable(_TOLERANCES[0]) else _TOLERANCES
+    ladder = tolerances if stable(tolerances[0]) else (tightest, *tolerances)
     failed = next((k for k, good in enumerate(map(stable, ladder)) if not good), len(ladder))
     if 0 < failed < len(ladder):
         bisect(stable, ladder[failed - 1], ladder[failed])

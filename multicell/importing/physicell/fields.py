@@ -260,10 +260,12 @@ def _rules(model: Model, name: str) -> list[Rule]:
             if field and not _leads(model, rule.signal, key):
                 model.needs.setdefault(key, set()).add(rule.signal)
                 found.append(rule)
-            elif rule.signal == "volume":
+            elif rule.signal == "volume" or rule.element is not None:
                 found.append(rule)
             else:
-                rule.note = "fields respond to volumes, and to others that do not depend on them"
+                rule.note = (
+                    "fields respond to volumes, networks, and others that do not depend on them"
+                )
     return found
 
 

@@ -45,7 +45,15 @@ _CODES: Final = (
     (r"ssd_(.+)", r"\1 secretion target"),
     (r"ser_(.+)", r"\1 export"),
 )
-"""What codes of a phenotype stand for, as rules name it; all others have no counterpart."""
+"""What codes of a phenotype stand for, as rules name it."""
+_REFUSED: Final = {
+    "mpt": "for how long a cell keeps its direction does not hang on signals here",
+    "vtsc": "a cell has one volume here, without a solid part of the cytoplasm",
+    "vtsn": "a cell has one volume here, without a nucleus",
+    "vff": "a cell has one volume here, without a part of fluid",
+}
+"""Codes of PhysiCell's that have no counterpart -> why; any other is none of its codes."""
+_SECOND: Final = "PhysiCell 1.14 sets the uptake of its second substance, whichever is named"
 _FOLLOWS: Final = (
     "finds what is around the cell; nothing that the network makes of it is given back"
 )
@@ -126,7 +134,8 @@ def _read_map(model: Model, kind: CellDefinition, one: Element, network: Network
     behaviour = next((m.expand(to) for at, to in _CODES if (m := re.fullmatch(at, code))), "")
     top = _largest(network, species)
     if not behaviour or not top > 0.0:
-        note = f"the code '{code[:40]}' has no counterpart here"
+        why = _REFUSED.get(code, "it is none of PhysiCell's")
+        note = f"the code '{code[:40]}' has no counterpart here: {why}"
         if behaviour:
             note = "the largest value that it can have is not known"
         if own:
@@ -134,6 +143,8 @@ def _read_map(model: Model, kind: CellDefinition, one: Element, network: Network
         return
     text = f"{species}: {code}" if own else ""  # of a parent it has an entry already
     note = f"in proportion up to {top:g}"
+    if code.startswith("sur_") and code.removeprefix("sur_") not in list(model.fields)[1:2]:
+        note += f"; {_SECOND}"
     signal = f"{key}.{species}"
     model.rules.append(
         Rule(one.path, text, kind, signal, behaviour, top, top, 1.0, note, element=one)

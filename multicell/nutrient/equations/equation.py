@@ -256,6 +256,8 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         ``start`` is the first guess, and ``t`` the time in s at the end.
         """
         nodes = self.nodes(start)
+        for each in self.substances.values():
+            each.set_time(t)
         earlier = None if before is None else self.nodes(before)
         if self.reactions is not None:
             found, reports = self.reactions.solution(nodes, t, dt, earlier)

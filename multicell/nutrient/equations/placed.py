@@ -18,6 +18,9 @@ from multicell.nutrient.spherical import Shells
 from multicell.nutrient.steady import SolveReport
 from multicell.nutrient.uptake import uptake_and_slope
 
+_Spread = tuple[FloatArray, FloatArray, float]
+_Course = tuple[float, float, _Spread, _Spread]
+
 
 @final
 class PlacedSubstance:
@@ -64,14 +67,50 @@ class PlacedSubstance:
         self.layout, self.shape = layout, layout.shape
         if self._scaled != (layout.shape, layout.spacing):
             self._scale()
+        self.sink, self.secreted, self._production = self._spread(
+            position, radius, capacity, production
+        )
+        self._gained: tuple[float, FloatArray] | None = None
+        self._course: _Course | None = None
+
+    def _spread(
+        self,
+        position: FloatArray,
+        radius: FloatArray | None,
+        capacity: FloatArray | None,
+        production: FloatArray | None,
+    ) -> _Spread:
+        """Return largest uptake and secretion at nodes, mM/s, and all secretion, amol/s."""
         cells = position, radius
         capacity = np.zeros(len(position)) if capacity is None else capacity
-        self.sink = self.spread(*cells, capacity, "capacity")
-        self.secreted, self._production = np.zeros(self.shape), 0.0
-        if production is not None:
-            self.secreted = self.spread(*cells, production, "production")
-            self._production = float(np.sum(production))
-        self._gained: tuple[float, FloatArray] | None = None
+        sink = self.spread(*cells, capacity, "capacity")
+        if production is None:
+            return sink, np.zeros(self.shape), 0.0
+        return sink, self.spread(*cells, production, "production"), float(np.sum(production))
+
+    def change_demand(
+        self,
+        position: FloatArray,
+        radius: FloatArray | None,
+        capacity: FloatArray,
+        production: FloatArray | None,
+        begin: float,
+        end: float,
+    ) -> None:
+        """Let demand go linearly from this one at ``begin`` to what it is at ``end`` (s)."""
+        first = self._spread(position, radius, capacity, production)
+        self._course = begin, end, first, (self.sink, self.secreted, self._production)
+
+    def set_time(self, t: float) -> None:
+        """Take the demand of a time in s, where it changes."""
+        if self._course is None:
+            return
+        begin, end, first, last = self._course
+        part = (t - begin) / (end - begin)
+        self.sink = (1.0 - part) * first[0] + part * last[0]
+        self.secreted = (1.0 - part) * first[1] + part * last[1]
+        self._production = (1.0 - part) * first[2] + part * last[2]
+        self._gained = None
 
     def _scale(self) -> None:
         """Renew what depends on the number of nodes and their distance."""

@@ -461,7 +461,9 @@ def explain_colours(figure: Figure, shade: Colouring, title: str, shown: Any = s
         low, high = shade.range
         below, above = bool((shade.values < low).any()), bool((shade.values > high).any())
         beyond = ("neither", "min", "max", "both")[below + 2 * above]
-        words = shade.title[0].upper() + shade.title[1:]
+        # names of networks are as they are written
+        first = shade.title[0] if "." in shade.title else shade.title[0].upper()
+        words = first + shade.title[1:]
         _draw_bar(figure, ScalarMappable(Normalize(low, high), SCALE), words, 0.5, extend=beyond)
         return
     palette = shade.palette or {}

@@ -73,11 +73,12 @@ class PackedColumn:
     title: str = ""
     low: float = 0.0  # range that is scaled
     high: float = 1.0
+    gaps: bool = False  # whether some cells have no value, whose number is then 0
 
     @property
     def label(self) -> str:
         """Name in words."""
-        return self.title or self.name.replace("_", " ")
+        return self.title or (self.name if "." in self.name else self.name.replace("_", " "))
 
     @property
     def plain(self) -> bool:
@@ -163,7 +164,8 @@ def _thin(frame: Frame, most: int) -> Frame:
         rank = random.uniform(0, Purpose.VIEW, 0, ids[rows])[:, 0]
         rows = rows[np.sort(np.argpartition(rank, most)[:most])]
     values = {name: column[rows] for name, column in frame.concentrations.items()}
-    return Frame(frame.time, frame.step, frame.cells.take(rows), values)
+    taken = frame.cells.take(rows)
+    return Frame(frame.time, frame.step, taken, values, progress=frame.progress)
 
 
 def _groups(frame: Frame) -> dict[str, list[int]]:
@@ -200,6 +202,9 @@ def _columns(result: Result, frames: Sequence[Frame]) -> list[PackedColumn]:
         if all(name in frame.concentrations for frame in frames):
             unit = written(unit_of(f"cells.concentration_{name}"))
             columns.append(PackedColumn(name, unit, "u1", partial(_field, name)))
+    for name in frames[-1].inside:
+        if all(name in frame.inside for frame in frames):
+            columns.append(PackedColumn(name, "", "u1", partial(_inside, name)))
     return columns
 
 
@@ -209,6 +214,10 @@ def _axis(k: int, frame: Frame) -> FloatArray:
 
 def _field(name: str, frame: Frame) -> FloatArray:
     return frame.concentrations[name]
+
+
+def _inside(name: str, frame: Frame) -> FloatArray:
+    return frame.inside[name]
 
 
 def _clone_numbers(
@@ -231,12 +240,16 @@ def _clone_numbers(
 def _ranged(column: PackedColumn, frames: Sequence[Frame]) -> PackedColumn:
     if column.plain:
         return replace(column, high=float(column.top))
-    values = np.concatenate([column.values(frame) for frame in frames])
-    values = values[np.isfinite(values)]
+    every = np.concatenate([column.values(frame) for frame in frames])
+    values = every[np.isfinite(every)]
+    gaps = len(values) < len(every)
     if not len(values):
-        return column
+        return replace(column, gaps=gaps)
     low, high = float(values.min()), float(values.max())
-    return replace(column, low=low, high=high if high > low else low + 1.0)
+    high = high if high > low else low + 1.0
+    if gaps:  # the least number is that of no value
+        low -= (high - low) / (column.top - 1)
+    return replace(column, low=low, high=high, gaps=gaps)
 
 
 def _body(
@@ -291,7 +304,8 @@ def _integers(column: PackedColumn, values: NDArray[Any]) -> NDArray[np.unsigned
 
 
 def _describe(column: PackedColumn) -> dict[str, Any]:
-    names = ("name", "label", "unit", "kind", "low", "high", "top", *["words"][: len(column.words)])
+    more = [*["words"][: len(column.words)], *["gaps"][: column.gaps]]
+    names = ("name", "label", "unit", "kind", "low", "high", "top", *more)
     return {name: getattr(column, name) for name in names}
 
 

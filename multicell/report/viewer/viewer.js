@@ -153,6 +153,7 @@ function fillColours() {
     for (let i = 0; i < values.length; i++) tint[i] = codes[values[i] % codes.length];
   } else {
     const of = Array.from({ length: column.top + 1 }, (_, level) => {
+      if (column.gaps && !level) return GAP;
       const share = (scaled(column, level) - about_.low) / (about_.high - about_.low);
       return codes[Math.round((codes.length - 1) * Math.min(1, Math.max(0, share)))];
     });
@@ -265,6 +266,7 @@ function legend() {
   const number = (value) => Number(value.toPrecision(3)).toString();
   bar.append(number(about_.low), shades, `${number(about_.high)} ${about_.unit}`);
   box.append(bar);
+  if (column.gaps) box.append("grey: cells without it");
 }
 function tell() {
   const frame = frames[shown];
@@ -446,6 +448,7 @@ canvas.addEventListener("pointermove", (event) => {
     let text;
     if (column.words) text = column.words[value] ?? String(value);
     else if (column.name === "id") text = String(value);
+    else if (column.gaps && !value) text = "none";
     else text = `${Number(scaled(column, value).toPrecision(3))} ${column.unit}`;
     lines.push(`${column.label}: ${text}`);
   }
