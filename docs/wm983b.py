@@ -9,6 +9,8 @@ Beside    Greenspan's model (docs/greenspan.py), five parameters, the same data 
 Command   python docs/wm983b.py --fit                 the fit, kept in docs/data/wm983b-fit.json
           python docs/wm983b.py --predict 2500 10000  from what is kept (--json for programs)
           python docs/wm983b.py                       tables and the picture, from what is kept
+          python docs/wm983b.py --switched            radii after a change from air to 2 %,
+                                                      by the fit of wm983b_regimes.py
 """
 
 from __future__ import annotations
@@ -58,9 +60,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--fit", action="store_true")
     parser.add_argument("--predict", nargs="+", type=int, metavar="CELLS")
+    parser.add_argument("--switched", action="store_true")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    if options.fit:
+    if options.switched:
+        show_switched(as_json=options.json)
+    elif options.fit:
         fit()
     elif options.predict:
         found = predict(options.predict, json.loads(KEPT.read_text())["best"])
@@ -71,6 +76,19 @@ def main() -> None:
                 show(f"{seeding} cells", course)
     else:
         pictures()
+
+
+def show_switched(*, as_json: bool) -> None:
+    """Print outer, inhibited and necrotic radius in um on the days after the switch."""
+    import wm983b_regimes
+
+    found = wm983b_regimes.switched_days()
+    if as_json:
+        print(json.dumps(found))
+        return
+    print("  day   outer  inhibited  necrotic / um")
+    for day, row in found.items():
+        print(f"  {day:>3s} {row[0]:7.1f} {row[1]:10.1f} {row[2]:9.1f}")
 
 
 def specimens(seeding: int) -> Array:
