@@ -22,6 +22,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import greenspan
 import numpy as np
@@ -60,6 +61,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--fit", action="store_true")
     parser.add_argument("--predict", nargs="+", type=int, metavar="CELLS")
+    parser.add_argument("--coarse", type=float, default=COARSE, help="width of cells, of --predict")
     parser.add_argument("--switched", action="store_true")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
@@ -68,12 +70,13 @@ def main() -> None:
     elif options.fit:
         fit()
     elif options.predict:
-        found = predict(options.predict, json.loads(KEPT.read_text())["best"])
+        found = predict(options.predict, json.loads(KEPT.read_text())["best"], options.coarse)
         if options.json:
             print(json.dumps({n: by_day(course) for n, course in found.items()}))
         else:
             for seeding, course in found.items():
                 show(f"{seeding} cells", course)
+                print("  rms / sd of R, phi R, eta R, all:", rated(seeding, course))
     else:
         pictures()
 
@@ -113,9 +116,9 @@ def radii(found: Array) -> Array:
     return found
 
 
-def coarse() -> mc.Scene:
+def coarse(width: float = COARSE) -> mc.Scene:
     """Return the scene of 5,000 cells seeded, with larger and fewer cells."""
-    return mc.coarsen("wm983b", COARSE)
+    return mc.coarsen("wm983b", width)
 
 
 def fit() -> None:
@@ -143,7 +146,8 @@ def fit() -> None:
     }
     ensembles = {}
     for seeding in SEEDINGS:
-        courses = run_all([(seeding, draw, 1 + k) for k, draw in enumerate(kept["draws"])])
+        tasks = [(seeding, draw, 1 + k, COARSE) for k, draw in enumerate(kept["draws"])]
+        courses = run_all(tasks)
         ensembles[seeding] = np.round(courses, 4).tolist()
     kept["ensembles"] = ensembles
     KEPT.write_text(json.dumps(kept) + "\n")
@@ -163,24 +167,26 @@ def draws_of(found: mc.Fit, count: int) -> list[dict[str, str]]:
     ]
 
 
-def predict(seedings: list[int], best: dict[str, str]) -> dict[int, Array]:
+def predict(seedings: list[int], best: dict[str, str], width: float = COARSE) -> dict[int, Array]:
     """Return R, phi and eta on the days of the data, (days, 3) by seeding: means over seeds."""
-    courses = run_all([(n, best, seed) for n in seedings for seed in SEEDS])
+    count = round(int(best["initial.count"]) * (COARSE / width) ** 3)
+    settings = {**best, "initial.count": str(count)}
+    courses = run_all([(n, settings, seed, width) for n in seedings for seed in SEEDS])
     means = np.array(courses).reshape(len(seedings), len(SEEDS), -1, 3).mean(axis=1)
     return dict(zip(seedings, means, strict=True))
 
 
-def run_all(tasks: list[tuple[int, dict[str, str], int]]) -> list[Array]:
-    """Run scenes side by side: cells seeded, settings, seed of each."""
+def run_all(tasks: list[Any]) -> list[Array]:
+    """Run scenes side by side: cells seeded, settings, seed and width of cells of each."""
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
         return list(pool.map(course, tasks))
 
 
-def course(task: tuple[int, dict[str, str], int]) -> Array:
+def course(task: tuple[int, dict[str, str], int, float]) -> Array:
     """Return R, phi and eta of one run on the days of the data, (days, 3)."""
-    seeding, settings, seed = task
+    seeding, settings, seed, width = task
     count = round(int(settings["initial.count"]) * seeding / FITTED)
-    result = mc.run(coarse().with_changes({**settings, "initial.count": count, "seed": seed}))
+    result = mc.run(coarse(width).with_changes({**settings, "initial.count": count, "seed": seed}))
     history = result.history
     return np.stack([np.interp(DAYS * 86400, history["time"], history[n]) for n in NAMES], axis=1)
 
@@ -221,6 +227,13 @@ def pictures() -> None:
             print(f"{seeding:6d} cells, {name:12s} {parts}   ", end="")
             print(f"{covered(single, radii(bands[seeding]), sd):.0%}" if name == "wm983b" else "")
     save_figure(draw(bands, rivals), HERE / "figures" / "wm983b.png")
+
+
+def rated(seeding: int, course: Array) -> str:
+    """Return rms (model - mean) / sd of the three radii and of all, as text."""
+    _, mean, sd = means(radii(specimens(seeding)), CELL)
+    off = (radii(course) - mean) / sd
+    return " ".join(f"{rms(part):.2f}" for part in (*off.T, off))
 
 
 def rms(off: Array) -> float:
