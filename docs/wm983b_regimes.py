@@ -5,6 +5,7 @@ Model     the variants of wm983b_mechanisms.py, each fitted to air and 2 % oxyge
 Search    CMA-ES (Hansen 2016, arXiv:1604.00772) on the places of all parameters in their ranges
 Predicted spheroids that go from air to 2 % oxygen on day 2, whose data no fit has seen
 Command   python docs/wm983b_regimes.py --fit less relative   fits, kept in wm983b-regimes.json
+          python docs/wm983b_regimes.py                       tables and the picture
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import wm983b_mechanisms as mechanisms
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.stats import chi2
 from wm983b_mechanisms import MECHANISMS
@@ -29,6 +31,7 @@ from multicell.calibration.problem import free_of
 from multicell.errors import MulticellError
 from multicell.measured.data import read_data
 from multicell.measured.table import read_measurements
+from multicell.report.plots.style import BLUE, QUIET, RED, save_figure, styled
 
 Array = NDArray[np.float64]
 
@@ -49,17 +52,27 @@ def main() -> None:
     """Do what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--fit", nargs="*", choices=[*MECHANISMS], metavar="MECHANISM")
-    for name in parser.parse_args().fit or MECHANISMS:
+    wanted = parser.parse_args().fit
+    if wanted is None:
+        pictures()
+        return
+    for name in wanted or MECHANISMS:
         keep(name, fit(name))
 
 
 def measured(regime: str) -> tuple[Array, Array, Array]:
     """Return days (k,), and means and deviations (um) of the three radii, (k, 3)."""
-    lines = (HERE / "data" / "wm983b-oxygen.csv").read_text().splitlines()
+    return measured_columns(regime, COLUMNS)
+
+
+def measured_columns(regime: str, columns: Sequence[str]) -> tuple[Array, Array, Array]:
+    """Return days (k,), and means and deviations (um) of some columns, (k, m)."""
+    file = "wm983b-switched.csv" if regime == "switched" else "wm983b-oxygen.csv"
+    lines = (HERE / "data" / file).read_text().splitlines()
     rows = csv.DictReader(line for line in lines if not line.startswith("#"))
     chosen = [row for row in rows if row["regime"] == regime]
-    mean = np.array([[float(row[f"{name}_um"]) for name in COLUMNS] for row in chosen])
-    sd = np.array([[float(row[f"{name}_sd_um"]) for name in COLUMNS] for row in chosen])
+    mean = np.array([[float(row[f"{name}_um"]) for name in columns] for row in chosen])
+    sd = np.array([[float(row[f"{name}_sd_um"]) for name in columns] for row in chosen])
     return np.array([float(row["day"]) for row in chosen]), mean, np.maximum(sd, LEAST)
 
 
@@ -249,6 +262,54 @@ def switched_days() -> dict[str, list[float]]:
     rows = best_course(name, kept[name]["best"], "switched")
     days = zip(DAYS.tolist(), rows, strict=True)
     return {f"{day:g}": row[:3] for day, row in days if day > mechanisms.SWITCH}
+
+
+def pictures() -> None:
+    """Print how well models and null models do, and draw the model that was chosen."""
+    import wm983b_nulls
+
+    kept = read_kept()
+    print("rms of (model - mean) / sd     outer  inhibited  necrotic    all   hypoxic")
+    for name, found in kept.items():
+        for regime in (*REGIMES, "switched"):
+            days, mean, sd = measured_columns(regime, ("pimonidazole",))
+            hypoxic = np.array(found["courses"][regime])[np.searchsorted(DAYS, days), 3:]
+            show(f"{name}, {regime}", off(found, regime), rms((hypoxic - mean) / sd))
+    days, mean, sd = measured("switched")
+    for name, radii_after in wm983b_nulls.predictions(days).items():
+        show(name, (radii_after - mean) / sd, None)
+    save_figure(draw(kept[chosen(kept)]), HERE / "figures" / "wm983b-regimes.png")
+
+
+def show(title: str, off: Array, hypoxic: float | None) -> None:
+    """Print the rms of deviations (days, 3) of each radius and of all."""
+    parts = "".join(f"{rms(part):9.2f}" for part in (*off.T, off))
+    print(f"{title:28s}{parts}" + ("" if hypoxic is None else f"{hypoxic:9.2f}"))
+
+
+def rms(values: Array) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+@styled
+def draw(found: dict[str, Any]) -> Figure:
+    """Draw three radii in three regimes: means with deviations, and the model with its range."""
+    figure = Figure(figsize=(11.0, 4.2), layout="constrained")
+    axes = figure.subplots(1, 3, sharey=True)
+    titles = ("air, fitted", "2 % oxygen, fitted", "air, 2 % from day 2 on: predicted")
+    for ax, regime, title in zip(axes, (*REGIMES, "switched"), titles, strict=True):
+        days, mean, sd = measured(regime)
+        bands, course = np.array(found["bands"][regime]), np.array(found["courses"][regime])
+        for k, (name, color) in enumerate(zip(COLUMNS, (BLUE, QUIET, RED), strict=True)):
+            low, high = bands[..., k].min(axis=0), bands[..., k].max(axis=0)
+            ax.fill_between(DAYS, low, high, color=color, alpha=0.2, lw=0)
+            ax.plot(DAYS, course[:, k], color=color, label=f"{name} radius")
+            ax.errorbar(days, mean[:, k], sd[:, k], fmt="o", ms=4, color=color, capsize=2)
+        ax.set(title=title, xlabel="day")
+    axes[0].set_ylabel("radius / µm")
+    axes[0].legend(fontsize=9.5)
+    return figure
 
 
 def read_kept() -> dict[str, Any]:
