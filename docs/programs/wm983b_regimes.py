@@ -4,8 +4,8 @@ Data      docs/data/wm983b-oxygen.csv: means of radii over spheroids of a day, a
 Model     the variants of wm983b_mechanisms.py, each fitted to air and 2 % oxygen at once
 Search    CMA-ES (Hansen 2016, arXiv:1604.00772) on the places of all parameters in their ranges
 Predicted spheroids that go from air to 2 % oxygen on day 2, whose data no fit has seen
-Command   python docs/wm983b_regimes.py --fit less relative   fits, kept in wm983b-regimes.json
-          python docs/wm983b_regimes.py                       tables and the picture
+Command   python docs/programs/wm983b_regimes.py --fit less relative   fits, in wm983b-regimes.json
+          python docs/programs/wm983b_regimes.py                       tables and the picture
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from scipy.stats import chi2
 from wm983b_mechanisms import MECHANISMS
 
 import multicell as mc
-from multicell.calibration.problem import free_of
+from multicell.calibration.fitting.problem import free_of
 from multicell.errors import MulticellError
 from multicell.measured.data import read_data
 from multicell.measured.table import read_measurements
@@ -35,7 +35,7 @@ from multicell.report.plots.style import BLUE, QUIET, RED, save_figure, styled
 
 Array = NDArray[np.float64]
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).parent.parent
 KEPT = HERE / "data" / "wm983b-regimes.json"
 REGIMES = ("air", "hypoxia")
 RADII = ("radius", "inhibited_radius", "necrotic_radius")
