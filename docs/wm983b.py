@@ -9,6 +9,8 @@ Beside    Greenspan's model (docs/programs/greenspan.py), five parameters, same 
 Command   python docs/wm983b.py --fit                 the fit, kept in docs/data/wm983b-fit.json
           python docs/wm983b.py --predict 2500 10000  from what is kept (--json for programs)
           python docs/wm983b.py                       tables and the picture, from what is kept
+          python docs/wm983b.py --switched            radii after a change from air to 2 %,
+                                                      by the fit of wm983b_regimes.py
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -60,19 +63,37 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--fit", action="store_true")
     parser.add_argument("--predict", nargs="+", type=int, metavar="CELLS")
+    parser.add_argument("--coarse", type=float, default=COARSE, help="width of cells, of --predict")
+    parser.add_argument("--switched", action="store_true")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    if options.fit:
+    if options.switched:
+        show_switched(as_json=options.json)
+    elif options.fit:
         fit()
     elif options.predict:
-        found = predict(options.predict, json.loads(KEPT.read_text())["best"])
+        found = predict(options.predict, json.loads(KEPT.read_text())["best"], options.coarse)
         if options.json:
             print(json.dumps({n: by_day(course) for n, course in found.items()}))
         else:
             for seeding, course in found.items():
                 show(f"{seeding} cells", course)
+                print("  rms / sd of R, phi R, eta R, all:", rated(seeding, course))
     else:
         pictures()
+
+
+def show_switched(*, as_json: bool) -> None:
+    """Print outer, inhibited and necrotic radius in um on the days after the switch."""
+    import wm983b_regimes
+
+    found = wm983b_regimes.switched_days()
+    if as_json:
+        print(json.dumps(found))
+        return
+    print("  day   outer  inhibited  necrotic / um")
+    for day, row in found.items():
+        print(f"  {day:>3s} {row[0]:7.1f} {row[1]:10.1f} {row[2]:9.1f}")
 
 
 def specimens(seeding: int) -> Array:
@@ -97,9 +118,9 @@ def radii(found: Array) -> Array:
     return found
 
 
-def coarse() -> mc.Scene:
+def coarse(width: float = COARSE) -> mc.Scene:
     """Return the scene of 5,000 cells seeded, with larger and fewer cells."""
-    return mc.coarsen("wm983b", COARSE)
+    return mc.coarsen("wm983b", width)
 
 
 def fit() -> None:
@@ -127,7 +148,8 @@ def fit() -> None:
     }
     ensembles = {}
     for seeding in SEEDINGS:
-        courses = run_all([(seeding, draw, 1 + k) for k, draw in enumerate(kept["draws"])])
+        tasks = [(seeding, draw, 1 + k, COARSE) for k, draw in enumerate(kept["draws"])]
+        courses = run_all(tasks)
         ensembles[seeding] = np.round(courses, 4).tolist()
     kept["ensembles"] = ensembles
     KEPT.write_text(json.dumps(kept) + "\n")
@@ -147,24 +169,26 @@ def draws_of(found: mc.Fit, count: int) -> list[dict[str, str]]:
     ]
 
 
-def predict(seedings: list[int], best: dict[str, str]) -> dict[int, Array]:
+def predict(seedings: list[int], best: dict[str, str], width: float = COARSE) -> dict[int, Array]:
     """Return R, phi and eta on the days of the data, (days, 3) by seeding: means over seeds."""
-    courses = run_all([(n, best, seed) for n in seedings for seed in SEEDS])
+    count = round(int(best["initial.count"]) * (COARSE / width) ** 3)
+    settings = {**best, "initial.count": str(count)}
+    courses = run_all([(n, settings, seed, width) for n in seedings for seed in SEEDS])
     means = np.array(courses).reshape(len(seedings), len(SEEDS), -1, 3).mean(axis=1)
     return dict(zip(seedings, means, strict=True))
 
 
-def run_all(tasks: list[tuple[int, dict[str, str], int]]) -> list[Array]:
-    """Run scenes side by side: cells seeded, settings, seed of each."""
+def run_all(tasks: list[Any]) -> list[Array]:
+    """Run scenes side by side: cells seeded, settings, seed and width of cells of each."""
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
         return list(pool.map(course, tasks))
 
 
-def course(task: tuple[int, dict[str, str], int]) -> Array:
+def course(task: tuple[int, dict[str, str], int, float]) -> Array:
     """Return R, phi and eta of one run on the days of the data, (days, 3)."""
-    seeding, settings, seed = task
+    seeding, settings, seed, width = task
     count = round(int(settings["initial.count"]) * seeding / FITTED)
-    result = mc.run(coarse().with_changes({**settings, "initial.count": count, "seed": seed}))
+    result = mc.run(coarse(width).with_changes({**settings, "initial.count": count, "seed": seed}))
     history = result.history
     return np.stack([np.interp(DAYS * 86400, history["time"], history[n]) for n in NAMES], axis=1)
 
@@ -205,6 +229,13 @@ def pictures() -> None:
             print(f"{seeding:6d} cells, {name:12s} {parts}   ", end="")
             print(f"{covered(single, radii(bands[seeding]), sd):.0%}" if name == "wm983b" else "")
     save_figure(draw(bands, rivals), HERE / "figures" / "wm983b.png")
+
+
+def rated(seeding: int, course: Array) -> str:
+    """Return rms (model - mean) / sd of the three radii and of all, as text."""
+    _, mean, sd = means(radii(specimens(seeding)), CELL)
+    off = (radii(course) - mean) / sd
+    return " ".join(f"{rms(part):.2f}" for part in (*off.T, off))
 
 
 def rms(off: Array) -> float:

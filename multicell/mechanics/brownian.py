@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _SPAN: Final = 15
 """Spans last 2**14 to 2**15 s: as coupling steps that are halves of each other have them alike."""
 _DEEPEST: Final = 40
-"""Halvings of a span that tell times apart, 3e-8 s: a cell hardly moves in so short a time."""
+"""Halvings of a span that keep times apart, 3e-8 s: a cell hardly moves in so short a time."""
 _ROUNDING: Final = 1e-9
 """Part of an internal step within which two times are one."""
 
