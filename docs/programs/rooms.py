@@ -29,15 +29,15 @@ WHAT = {
     "simulation": "state and the coupling step",
     "behaviours": "growth, responses", "networks": "inside cells",
     "host": "files, signals, memory", "population": "radius, core, rim", "measured": "measurements",
-    "nutrient": "fields", "biology": "what cells do",
-    "results": "frames, history, journal", "scene": "what there is", "integrators": "methods",
-    "mechanics": "forces, Jacobian, lists", "contact": "pair laws", "plugins": "what users add",
+    "nutrient": "fields", "biology": "growth, division, death",
+    "results": "frames, history, journal", "scene": "parts of a scene", "integrators": "methods",
+    "mechanics": "forces, Jacobian, lists", "contact": "pair laws", "plugins": "additions of users",
     "tables": "CSV, Parquet",
     "schema": "declarations", "units": "at the door", "random": "streams",
     "compiling": "by numba, threads", "precompile": "compiling ahead",
     "importing": "models of PhysiCell",
     "philox": "random words", "vectors": "sums by column",
-    "cells": "the state", "errors": "what users meet",
+    "cells": "the state", "errors": "errors of users",
 }  # fmt: skip
 
 
