@@ -37,6 +37,8 @@ NAMES = {
     "uptake_on": FIELDS[:1],
     "secretion_from": FIELDS[:1],
     "uptake_of": FIELDS,
+    "chemotaxis_of": FIELDS,
+    "release": ("shot",),
     "yields": FIELDS,
     "secretion_of": FIELDS,
     "surface_energy": TYPES,
@@ -81,6 +83,8 @@ TEXTS = {
     "towards": FIELDS,
     "oxygen": FIELDS,
     "network": (relax.name,),
+    "solver": ("auto", "auto", "multicell-implicit", "multicell-march", "multicell-steady"),
+    "initial_formula": ("0.05", "0.02 * exp(-(x**2 + y**2) / 400)"),
     "after": ("age > 20 min", "pressure > 0.01 kPa", "volume > 200", "neighbours < 3"),
 }  # fmt: skip
 """Texts that name something, by their keys."""
@@ -102,6 +106,7 @@ TOGETHER = {
     "Reaction": ("consumes", "consumes produces"),
     "Motility": ("bias direction", "bias towards", ""),
     "Side": ("type=derivative derivative", "value", ""),
+    "Release": ("place", "type"),
     "Domain": ("shape=sphere radius stiffness", "shape=sphere radius", "x y z"),
     "Nutrient": ("uptake", "uptake_per_volume uptake_on", "uptake_per_volume",
                  "uptake_per_volume geometry=radial layer"),

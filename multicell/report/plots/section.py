@@ -399,7 +399,7 @@ def _draw_behind(
         bar = _draw_bar(figure, shades, f"{field.name.capitalize()} ({field.unit})", 0.27)
         if resting is not None:
             bar.ax.axhline(resting, **line)
-            label = f"below {resting:.3g}: cells are quiescent"
+            label = f"below {resting:.3g}: quiescence"
             handles.insert(0, Line2D([], [], label=label, **line))
     if handles:
         figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.713, 0.25))
