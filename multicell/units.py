@@ -37,6 +37,7 @@ _UNITS = {
     "um^2/s": (1e-9, 1e9, "a diffusion coefficient", "2000 um^2/s"),
     "mM": (1e-12, 1e5, "a concentration", "0.07 mM"),
     "mM/um": (1e-15, 1e6, "a gradient of concentration", "1e-4 mM/um"),
+    "amol": (1e-12, 1e30, "an amount", "5 fmol"),
     "amol/s": (1e-12, 1e12, "an amount per time", "20 amol/s"),
     "1/s": (1e-15, 1e6, "a rate", "1e-5 1/s"),
     "mM/s": (1e-15, 1e12, "a change of concentration", "1e-3 mM/s"),

@@ -345,7 +345,7 @@ def test_files_hold_what_was_found(tmp_path):
     text = (folder / "report.html").read_text()
     assert "A &lt;b&gt;title&lt;/b&gt;" in text
     assert "<b>title</b>" not in text
-    assert text.count("data:image/png;base64,") == 1
+    assert text.count("data:image/png;base64,") == 2  # for light and dark
     assert "http" not in text.replace("http-equiv", "")
     assert any("euler" in line for line in told)
     check_texts(result.figure())
