@@ -254,10 +254,11 @@ def carry_out_study(
     study = write_study(plan.study, output, overwrite=how["overwrite"])
     failed = []
 
-    def noted(progress: Callable[[RunOutcome], None], **workers: Any) -> Any:
+    def noted(progress: Callable[[RunOutcome], None] | None, **workers: Any) -> Any:
         def note(outcome: RunOutcome) -> None:
             failed.extend([outcome] if outcome.state == "failed" else [])
-            progress(outcome)
+            if progress is not None:  # nobody looks with --quiet
+                progress(outcome)
 
         return carry_out(plan, output, progress=note, **workers)
 

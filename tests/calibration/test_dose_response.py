@@ -322,8 +322,11 @@ def test_a_run_that_fails_is_told_and_left_out(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("kind", "code"), [("machine", ExitCode.MACHINE), ("run", ExitCode.FAILED)]
 )
+@pytest.mark.parametrize("quiet", [[], ["--quiet"]])
 @pytest.mark.parametrize("lost", [1, 8])
-def test_runs_that_the_machine_has_stopped_are_its_failure(lost, kind, code, tmp_path, monkeypatch):
+def test_runs_that_the_machine_has_stopped_are_its_failure(
+    lost, kind, code, quiet, tmp_path, monkeypatch
+):
     """Also where too few are left for a curve, of which the runs themselves say nothing."""
     from multicell.studies.study import Study
 
@@ -345,7 +348,7 @@ def test_runs_that_the_machine_has_stopped_are_its_failure(lost, kind, code, tmp
     (tmp_path / "colony.toml").write_text(COLONY.to_toml())
     done = CliRunner().invoke(main, ["dose-response", str(tmp_path / "colony.toml"), "--dose",
                                      f"{DRUG}={RISING}", "--seeds", "2", "--cores", "1",
-                                     "-o", str(tmp_path / "out"), "--no-report"])  # fmt: skip
+                                     "-o", str(tmp_path / "out"), "--no-report", *quiet])  # fmt: skip
     assert done.exit_code == code, done.output
     said = [line for line in done.output.splitlines() if line.startswith("Error: ")]
     assert len(said) == (kind == "machine" or lost == 8)
