@@ -348,7 +348,8 @@ def test_runs_that_the_machine_has_stopped_are_its_failure(
     (tmp_path / "colony.toml").write_text(COLONY.to_toml())
     done = CliRunner().invoke(main, ["dose-response", str(tmp_path / "colony.toml"), "--dose",
                                      f"{DRUG}={RISING}", "--seeds", "2", "--cores", "1",
-                                     "-o", str(tmp_path / "out"), "--no-report", *quiet])  # fmt: skip
+                                     "-o", str(tmp_path / "out"),
+                                     "--no-report", *quiet])  # fmt: skip
     assert done.exit_code == code, done.output
     said = [line for line in done.output.splitlines() if line.startswith("Error: ")]
     assert len(said) == (kind == "machine" or lost == 8)
