@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
+from multicell.results.measures import REPEATS
 from multicell.results.quantities import ABSENT_WORDS
 
 _AT_THE_START = re.compile("nodes|finite medium of .* its grid covers|too far|origin, where")
@@ -275,6 +276,9 @@ def check_result(result):
     """Raise :class:`Fault` for a number that is none, an open ledger, cells lost or made."""
     for name, column in result.history.items():
         _finite(f"history.{name}", column, name)
+        domain = result.scene.domain
+        if ABSENT_WORDS.get(name) == REPEATS and not (domain and domain.periodic):
+            _finite(f"history.{name}", column, "of a population that has a centre")
     for frame in result.frames:
         _check_frame(frame)
     summary = result.summary()
