@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from multicell.results.measures import REPEATS
+from multicell.results.measures import NO_CENTRE
 from multicell.results.quantities import ABSENT_WORDS
 
 _AT_THE_START = re.compile("nodes|finite medium of .* its grid covers|too far|origin, where")
@@ -277,7 +277,7 @@ def check_result(result):
     for name, column in result.history.items():
         _finite(f"history.{name}", column, name)
         domain = result.scene.domain
-        if ABSENT_WORDS.get(name) == REPEATS and not (domain and domain.periodic):
+        if ABSENT_WORDS.get(name) == NO_CENTRE and not (domain and domain.periodic):
             _finite(f"history.{name}", column, "of a population that has a centre")
     for frame in result.frames:
         _check_frame(frame)
