@@ -293,11 +293,12 @@ class FieldSystem:
         for names in self._circles.values():  # as the fields of the last step have them
             found = {x: self.fields[x].sample(cells.position, cells.radius) for x in names}
             self.concentrations = {**self.concentrations, **found}
+        # asked for only where networks exchange with fields
+        whole = None if self._fluxes is None else np.broadcast_to(until, len(cells)) == 1.0
         for group in self.groups:
             followed = [name for name in group.names if name in follow and name in self._marched]
             seen: list[tuple[float, list[FloatArray]]] = []
             group.watch = partial(self._follow, group, seen) if followed else None
-            whole = np.broadcast_to(until, len(cells)) == 1.0
             self._advance(group, cells, tissue, begin, end, began, shares, whole)
             self._settle(group, cells, tissue, end)
             for name in followed:
@@ -363,12 +364,12 @@ class FieldSystem:
         end: float,
         began: Mapping[str, Demand],
         shares: FloatArray,
-        whole: Mask,
+        whole: Mask | None,
     ) -> None:
         """Bring fields to ``end``.
 
         - ``began``: the part of the demand that the beginning sets; ``shares``: that of the end
-        - ``whole``, (n,): which cells exchange until the end
+        - ``whole``, (n,): which cells exchange until the end; None without exchange by networks
         """
         demand = {name: self.demand(name, cells) for name in group.names}
         shells = self._on_shells(group.names[0])
@@ -383,7 +384,7 @@ class FieldSystem:
                 (one, two), (uptake, made) = began[name], demand[name]
                 product = None if made is None or two is None else two + shares * made
                 mean[name] = one + shares * uptake, product
-                if self._fluxes is not None:
+                if whole is not None:
                     first[name], mean[name] = _line(mean[name], demand[name], whole)
             found = group.advance(tissue, mean, begin=begin, end=end, first=first)
             for name, exchange in found.items():
