@@ -15,10 +15,10 @@ import sys
 import time
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
+sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 
 import multicell as mc
-from tests.helpers.cycling_networks import alarcon
+from cycling_networks import alarcon
 
 STEPS = 6  # of ten minutes, in an hour
 

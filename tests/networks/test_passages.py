@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from multicell.networks.solver import NetworkSolver
-from tests.helpers.network_models import BRUSSELATOR, CLOCK, network, rows
+from network_models import BRUSSELATOR, CLOCK, network, rows
 
 
 def turning(t, y, u, p, out):
