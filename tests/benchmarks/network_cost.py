@@ -17,8 +17,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 
-import multicell as mc
 from cycling_networks import alarcon
+
+import multicell as mc
 
 STEPS = 6  # of ten minutes, in an hour
 
