@@ -105,7 +105,8 @@ def test_no_test_file_imports_another():
 def test_imports_of_test_files_are_seen(tmp_path):
     path = tmp_path / "test_more.py"
     path.write_text(
-        "import os\nfrom test_rules import tree\nimport test_names as names\nfrom tests.helpers.a import b\n"
+        "import os\nfrom test_rules import tree\nimport test_names as names\n"
+        "from tests.helpers.a import b\n"
     )
     assert imported(path) == ["test_rules", "test_names", "tests.helpers.a"]
 
