@@ -85,3 +85,20 @@ def test_the_same_command_without_them_is_another_fit(folder):
 def test_scatter_is_one_of_two_words():
     with pytest.raises(mc.MulticellError, match="scatter"):
         mc.fit("growth", {"time / h": [1.0], "cells": [3.0]}, {}, scatter="some")
+
+
+def test_checked_ends_stay_in_the_folder_and_are_not_run_again(folder, monkeypatch):
+    calls = []
+
+    def called(self, shares, condition, seed):
+        calls.append(shares)
+        return Reading(tuple(model(shares)))
+
+    monkeypatch.setattr(SceneSimulator, "__call__", called)
+    found = mc.load_fit(folder)
+    name = next(free.name for free in found.problem.ranges if found.profile(free.name).ends(0.5))
+    ends = found.check_profile(name, level=0.5, repeats=4, cores=1)
+    assert len(calls) == 4 * len(ends) > 0
+    assert mc.load_fit(folder).check_profile(name, level=0.5, repeats=4, cores=1) == ends
+    assert len(calls) == 4 * len(ends)
+    assert mc.load_fit(folder).best.values == found.best.values

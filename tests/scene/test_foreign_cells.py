@@ -318,7 +318,7 @@ def test_a_simulation_takes_a_table_with_names_of_its_columns(tmp_path):
         ("", "", "holds no data"),
         (napari(), "", r"lengths whose unit it does not state.*pixel=0\.65 um"),
         ("ROI;Spalte 1;Spalte 2\n1;2,5;3,5\n", "", r"is not a known column here"),
-        ("X,Y,R\n1,2,-3\n", "x=X um, y=Y um, radius=R um", r"line 2, 'radius.*is -3, must be above 0"),
+        ("X,Y,R\n1,2,-3\n", "x=X um, y=Y um, radius=R um", r"line 2, 'radius.*is -3, must be"),
         ("X,Y,R\n1,2,3\n", "x=X mm, y=Y kg, radius=R um", "has the unit 'kg', must be one like um"),
     ],
 )
