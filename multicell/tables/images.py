@@ -17,6 +17,9 @@ from multicell.units import unit_factor
 
 TIFF: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # what a TIFF file begins with
 _LARGEST: Final = 8_000_000_000  # bytes of pixels
+_PACKED, _SMALL = 2_000, 2**26
+"""Bytes of pixels for each byte of a packed image, and those that any may have: labels pack well,
+and a damaged file may state any size."""
 _NEAREST: Final = 0.8
 """Distance of two centres over the sum of the radii from which on cells stay where they are: balls
 of the volume of cells that are not round overlap."""
@@ -128,10 +131,17 @@ def _pixels(
             series = file.series[0]
             if series.nbytes > _LARGEST:
                 raise DataError(name, f"has {series.nbytes:,} bytes of pixels, which is too much")
+            packed = series.keyframe.compression != 1
+            most = _SMALL + _PACKED * len(content) if packed else len(content)
+            if series.nbytes > most:  # tifffile fills what is not there with zeros
+                problem = f"states {series.nbytes:,} bytes of pixels, which its {len(content):,}"
+                raise DataError(name, f"{problem} bytes cannot hold: it is cut off or damaged")
             pixels, axes = series.asarray(), series.axes
             sizes = _ome_sizes(file.ome_metadata) or _imagej_sizes(file)
-    except (tifffile.TiffFileError, IndexError, ValueError, OSError) as error:
-        raise DataError(name, f"is no TIFF image: {error}") from None
+    except DataError:
+        raise
+    except Exception as error:  # a damaged file fails anywhere in the library
+        raise DataError(name, f"is no TIFF image: {error!s:.200}") from None
     frames = 1
     for axis in "TCSQI":
         if axis not in axes:
