@@ -199,14 +199,30 @@ def found_file(element: Element, home: Path, tag: str = "filename") -> Path:
     under = Path("." if folder is None else folder.word() or ".") / name.word()
     home = home.resolve()
     project = home.parent if home.name == _CONFIG else home
-    places = [home.parent / under, home / under, home / name.word()]
-    if under.is_absolute():
-        places = [project.joinpath(*under.parts[k:]) for k in range(1, len(under.parts))]
+    ends = [project.joinpath(*under.parts[k:]) for k in range(1, len(under.parts))]
+    usual = [home.parent / under, home / under, home / name.word()]
+    places = ends if under.is_absolute() else [*usual, *ends]  # ends: from PhysiCell's root
     for place in places:
         if _is_file_below(place, project):
             return place
     hint = f"Looked for in '{project}', links followed; what lies outside of it is not opened."
     raise name.error(f"is '{under}', but there is no such file", hint)
+
+
+def elsewhere(element: Element, home: Path, path: Path) -> str:
+    """Return in words where a file was found, if not where PhysiCell looks for it; else nothing.
+
+    - ``home``: folder of the settings
+    - ``path``: of the file, from :func:`found_file`
+    """
+    folder, name = (element.find(each) for each in ("folder", "filename"))
+    assert name is not None
+    home = home.resolve()
+    under = Path("." if folder is None else folder.word() or ".") / name.word()
+    if path.resolve() == (home.parent / under).resolve():
+        return ""
+    project = home.parent if home.name == _CONFIG else home
+    return f"not there; taken from '{path.resolve().relative_to(project)}'"
 
 
 def _is_file_below(path: Path, folder: Path) -> bool:

@@ -85,6 +85,8 @@ _BLOCK: Final = 50_000  # rows that are written at a time
 _CROWDED: Final = 50  # pairs of deep overlaps for each cell; packed tissue has a few
 _COINCIDING: Final = 0.01
 """Distance of two centres over the sum of the radii below which they are at one place."""
+INTENSITY: Final = "intensity"
+"""Beginning of the names of columns with what an image shows of a cell, which starts ignore."""
 CONCENTRATION_PREFIX: Final = "concentration_"
 """Beginning of the names of columns with what cells found of a field."""
 
@@ -380,7 +382,7 @@ def normalise(source: Columns) -> Given:
     titles: dict[str, str] = {}
     factors: dict[str, float] = {}
     for title in source.columns:
-        if title.startswith(CONCENTRATION_PREFIX):
+        if title.startswith((CONCENTRATION_PREFIX, INTENSITY)):
             continue
         read = _title(title, source.name)
         if read is None:

@@ -200,7 +200,10 @@ def fitted(problem, points=30):
     known = search.run(Pool(), points)
     facts = {"sd": 0.1, "seconds": 1.0, "sets_of_parameters": points}
     again = fresh(problem, search, Pool())
-    return Fit(problem, SCENE, known, None, facts, again)
+    if again.problem is None:
+        return Fit(problem, SCENE, known, None, facts, again)
+    known = search.on(again.problem).evaluations()
+    return Fit(again.problem, SCENE, known, None, facts, again, search.readings, problem)
 
 
 CASES = {

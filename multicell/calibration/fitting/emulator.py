@@ -380,7 +380,6 @@ def draws(loss: Loss, prior: Prior, seed: int, count: int = PARTICLES) -> Array:
 
 def best_of(loss: Loss, prior: Prior, found: Array) -> Array:
     """Return the parameters of least loss and prior, (d,), descended to from the best of some."""
-    from scipy.optimize import minimize
 
     def value_and_slope(x: Array) -> tuple[float, Array]:
         steps = np.where(x < 0.5, _DIFFERENCE, -_DIFFERENCE)
@@ -389,9 +388,7 @@ def best_of(loss: Loss, prior: Prior, found: Array) -> Array:
         return float(found[0]), (found[1:] - found[0]) / steps
 
     start = found[np.argmin(loss(found) + prior.loss(found))]
-    bounds = [(0.0, 1.0)] * len(start)
-    down = minimize(value_and_slope, start, jac=True, method="L-BFGS-B", bounds=bounds)
-    return np.asarray(np.clip(down.x, 0.0, 1.0))
+    return prior.constraints.descend(value_and_slope, start, range(len(start)))
 
 
 def _move(

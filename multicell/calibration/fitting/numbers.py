@@ -15,6 +15,11 @@ from multicell.calibration.fitting.likelihood import Fresh
 from multicell.calibration.fitting.problem import ABSENT_DEVIATIONS, FitProblem, misfit
 from multicell.calibration.fitting.search import Evaluation, Run
 from multicell.calibration.fitting.simulator import Reading
+from multicell.calibration.fitting.unknown_scatter import (
+    FittedScatter,
+    drawn_factors,
+    fitted_scatter,
+)
 from multicell.calibration.fitting.verdict import (
     EDGE,
     Interval,
@@ -86,6 +91,7 @@ class FitNumbers:
     facts: Mapping[str, Any]
     fresh: Fresh
     readings: Mapping[Run, Reading] = field(default_factory=dict)
+    stated: FitProblem | None = None
 
     def __repr__(self) -> str:
         keys = ", ".join(r.key for r in self.problem.ranges)
@@ -130,14 +136,17 @@ class FitNumbers:
     def posterior(self) -> pd.DataFrame:
         """Draws: a column for each parameter in base units, and ``weight``, which is the same.
 
-        Its ``attrs`` hold the units.
+        Where the scatter of the data is fitted, ``scatter_OBSERVABLE`` is the factor on the stated
+        errors. Its ``attrs`` hold the units.
         """
         needs("pandas")
         import pandas
 
         shares = self.some_sample()
         columns = self.problem.columns(shares)
-        frame = pandas.DataFrame({**columns, "weight": np.full(len(shares), 1.0 / len(shares))})
+        more = {f"scatter_{name}": x for name, x in self._factors.items()}
+        weight = np.full(len(shares), 1.0 / len(shares))
+        frame = pandas.DataFrame({**columns, **more, "weight": weight})
         frame.attrs = {"units": self.problem.parameter_units}
         return frame
 
@@ -169,6 +178,24 @@ class FitNumbers:
             coords={"chain": [0], "draw": np.arange(len(shares))},
             attrs={"scene": self.scene.title or "", "chi_squared": self.best.chi_squared},
         )
+
+    @cached_property
+    def scatter(self) -> Mapping[str, FittedScatter]:
+        """Size of the errors of each observable, where they were fitted (``scatter="unknown"``)."""
+        if self.stated is None:
+            return {}
+        return fitted_scatter(self.problem, self.stated, self._factors)
+
+    @cached_property
+    def _factors(self) -> dict[str, Array]:
+        """Draws of the factors on the stated errors, where they were fitted."""
+        known, runs, problem = self.fresh.likelihood, self.fresh.scatter, self.problem
+        if self.stated is None or known is None or runs is None:
+            return {}
+        means, variances = known.predict(self.some_sample())
+        scale = problem.sigma / self.stated.sigma
+        others = runs.variance * (1.0 / problem.tissues + 1.0 / runs.count) + variances
+        return drawn_factors(problem, means * scale, others * scale**2)
 
     @cached_property
     def chance(self) -> float:
@@ -334,6 +361,15 @@ class FitNumbers:
                 f"{said} come without a standard deviation: {100.0 * self.facts['sd']:g} % of the "
                 "value was assumed, on which all intervals depend."
             )
+        orders = self.problem.prior.constraints.texts()
+        if orders:
+            notes.append(f"Only values with {' and '.join(orders)} were searched.")
+        notes += [
+            f"The errors of {name} were fitted: a standard deviation of {found.words}, "
+            f"{found.best:.3g} times the stated or assumed ones (95 %: {found.low:.3g} to "
+            f"{found.high:.3g}). χ² is therefore about 1 a datum and says nothing of the model."
+            for name, found in self.scatter.items()
+        ]
         several = sum(1.0 < d.tissues < np.inf and not d.specimens for d in data)
         if several:
             notes.append(

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
-from multicell.calibration.fitting.priors import values_at
+from multicell.calibration.fitting.constraints import values_at
 from multicell.calibration.fitting.profile import LikelihoodProfile, profile_of
 from multicell.calibration.fitting.verdict import quantiles
 from multicell.measured.noise import Array

@@ -16,14 +16,13 @@ of tissues and of the mean of fresh runs, error of the emulator.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from multicell.calibration.fitting.emulator import ENOUGH_DRAWS, best_of, draws
-from multicell.calibration.fitting.priors import Prior
 from multicell.calibration.fitting.verdict import quantiles
 from multicell.measured.noise import Array
 
@@ -162,7 +161,7 @@ def least_residuals(fit: FitNumbers, predictive: Predictive) -> Array:
         r = known.predict(shares)[0]
         return np.asarray(np.einsum("si,ij,sj->s", r, predictive.precision, r))
 
-    flat = Prior(len(fit.problem.ranges))
+    flat = replace(fit.problem.prior, densities=())
     best = best_of(loss, flat, draws(loss, flat, seed=0, count=ENOUGH_DRAWS))
     return np.asarray(known.predict(best[None])[0][0])
 
