@@ -26,7 +26,7 @@ from multicell.tables.mapping import (
 from multicell.tables.sheets import ZIP, sheet_rows
 from multicell.tables.text import Row, lines_above, read_bytes, rows_of, text_form
 from multicell.tables.titles import split_title
-from multicell.units import unit_factor
+from multicell.units import unit_factor, whole_number
 
 MAX_BYTES: Final = 10_000_000  # of a file of measured data
 _ELAPSED: Final = ("Date Time", "Elapsed")
@@ -92,8 +92,8 @@ def _without_index(table: Table) -> Table:
     kept = []
     for place, title in enumerate(table.titles):
         fields = [row[place] for row in table.rows]
-        numbers = all(field.isdecimal() for field in fields) and [int(field) for field in fields]
-        counts = numbers and all(b == a + 1 for a, b in pairwise(numbers))
+        numbers = [number for field in fields if (number := whole_number(field)) is not None]
+        counts = len(numbers) == len(fields) and all(b == a + 1 for a, b in pairwise(numbers))
         if title or not (counts or not any(fields)):
             kept.append(place)
     return table if len(kept) == len(table.titles) else _some_columns(table, kept)
