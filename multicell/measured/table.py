@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import DataError
-from multicell.tables.columns import Table, field_text, read_object
+from multicell.tables.columns import Table, field_text, read_object, refuse_twins
 from multicell.tables.forms import FORM
 from multicell.tables.mapping import (
     ColumnMap,
@@ -109,9 +109,7 @@ def _some_columns(table: Table, places: Sequence[int]) -> Table:
 
 def _columns(table: Table) -> dict[str, NDArray[Any]]:
     """Return the columns of a table as text."""
-    for title in table.titles:
-        if table.titles.count(title) > 1:
-            raise DataError(f"{table.name}, '{title}'", "is the title of two columns")
+    refuse_twins(table.titles, table.name)
     fields = np.array(table.rows, dtype=object).reshape(len(table.rows), len(table.titles))
     return {title: fields[:, k] for k, title in enumerate(table.titles)}
 
