@@ -144,6 +144,15 @@ def finite(value: object, path: str, wanted: str, hint: str = "") -> float:
     return number + 0.0  # there is one zero: -0.0 would be written and drawn as another
 
 
+def whole_number(text: str) -> int | None:
+    """Return the number below 2^63 that a text of digits is; None for any other text.
+
+    Python refuses to read one of thousands of digits.
+    """
+    number = int(text.lstrip("0")[:20] or "0") if text.isdecimal() else 2**63
+    return number if number < 2**63 else None
+
+
 def shown(value: object) -> str:
     """Return a value as an error message shows it: short, tables and lists by their kind."""
     if isinstance(value, dict):

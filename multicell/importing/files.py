@@ -16,6 +16,7 @@ from multicell.errors import SceneError
 from multicell.host.files import read_text_of_others
 from multicell.host.xml import parse_xml
 from multicell.schema import Bounds
+from multicell.units import whole_number
 
 _MAX_BYTES = 100_000_000  # of a file: it bounds memory and time of reading
 
@@ -43,15 +44,6 @@ _YES = ("1", "t", "T", "y", "Y")
 def shortened(text: str, most: int) -> str:
     """Return a text, or its beginning and a mark where it is longer than ``most`` characters."""
     return text if len(text) <= most else f"{text[:most]}…"
-
-
-def whole_number(text: str) -> int | None:
-    """Return the number below 2^63 that a text of digits is; None for any other text.
-
-    Python refuses to read one of thousands of digits.
-    """
-    number = int(text.lstrip("0")[:20] or "0") if text.isdecimal() else 2**63
-    return number if number < 2**63 else None
 
 
 @final

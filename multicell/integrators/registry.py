@@ -19,6 +19,7 @@ from multicell.integrators import (
     scipy,
 )
 from multicell.integrators.base import MethodInfo, build_method, info_of
+from multicell.units import whole_number
 
 if TYPE_CHECKING:
     from multicell.integrators.base import Integrator
@@ -46,11 +47,12 @@ def meant_by(name: str) -> str:
 
 def find(name: str) -> MethodInfo | None:
     """Return the information on a method, or on a variant such as ``"rkc2-5"``."""
-    whole, _, number = name.rpartition("-")
-    if name in METHODS or whole not in METHODS or not number.isdecimal():
+    whole, _, digits = name.rpartition("-")
+    number = whole_number(digits)
+    if name in METHODS or whole not in METHODS or number is None:
         return METHODS.get(name)
     variant = METHODS[whole].variant
-    return None if variant is None else variant(int(number))
+    return None if variant is None else variant(number)
 
 
 def from_options(options: IntegratorOptions) -> Integrator:

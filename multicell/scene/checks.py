@@ -12,7 +12,8 @@ from multicell.integrators.registry import METHODS
 from multicell.scene import domain as box
 from multicell.scene.dependences import solving_order
 from multicell.scene.field_solvers import check_solver
-from multicell.scene.oxygen import OXYGEN, saturated
+from multicell.scene.nutrient import LEVELS
+from multicell.scene.oxygen import OXYGEN, check_dissolves
 from multicell.scene.reactions import groups
 from multicell.scene.scales import (
     MAX_NODES,
@@ -205,22 +206,24 @@ def _check_beginning(scene: Scene, name: str, path: str, nutrient: Nutrient) -> 
     for key, release in nutrient.release.items():
         if release.type:
             check_names([release.type], scene.types, f"{path}.release.{key}.type", "a type")
+        ends = (None if scene.box is None else getattr(scene.domain, axis) for axis in "xyz")
+        for x, side in zip(release.place or (), ends, strict=False):
+            if side is not None and not side[0] <= x <= side[1]:
+                problem = f"is {list(release.place or ())} um, outside the domain"
+                hint = "Look at domain.x, domain.y and domain.z."
+                raise SceneError(f"{path}.release.{key}.place", problem, hint)
 
 
 def _check_oxygen(path: str, nutrient: Nutrient) -> None:
-    """Check that nowhere is more oxygen than water dissolves of pure oxygen, nor needed by cells.
+    """Check that nowhere is more oxygen than water dissolves, nor does it matter to cells there.
 
-    1 mM is allowed at any temperature: at that of the body it is what dissolves, to 0.01 %.
+    A half saturation may be more: then uptake is in proportion to the concentration.
     """
-    most = max(saturated(nutrient.temperature), 1.0)
-    levels = {key: getattr(nutrient, key) or 0.0 for key in ("boundary", "quiescence", "necrosis")}
-    levels["media"] = max((value for _, value in nutrient.media or ()), default=0.0)
-    levels |= {f"sides.{face}.value": side.value or 0.0 for face, side in nutrient.sides.items()}
+    levels = {key: getattr(nutrient, key) for key in LEVELS if key != "half_saturation"}
+    levels["media"] = max((value for _, value in nutrient.media or ()), default=None)
+    levels |= {f"sides.{face}.value": side.value for face, side in nutrient.sides.items()}
     for key, level in levels.items():
-        if level > most:
-            problem = f"is {level:.4g} mM, but under pure oxygen water dissolves {most:.3g} mM"
-            hint = f"Percentages and pressures have a unit: '{level:.4g} %', '{level:.4g} mmHg'."
-            raise SceneError(f"{path}.{key}", problem, hint)
+        check_dissolves(level or 0.0, nutrient.temperature, f"{path}.{key}")
 
 
 def _check_spacing(scene: Scene, path: str, nutrient: Nutrient) -> None:

@@ -35,9 +35,14 @@ BYTES_PER_CELL: Final = 1000
 """What a running simulation holds for each cell at least: state, lists, solver vectors."""
 
 
+_CROWD: Final = (1000, 8e6)
+"""Pairs in reach for each cell, and beyond them in all: twice what a list of neighbours holds."""
+
+
 def check_sizes(scene: Scene) -> None:
     """Raise ``SceneError`` for numbers that nothing can be computed with together."""
     _check_steps(scene)
+    _check_crowd(scene)
     _check_overlap(scene)
     _check_diffusion(scene)
 
@@ -70,6 +75,23 @@ def _check_steps(scene: Scene) -> None:
         problem = f"is {step:g} s, must be at most a cycle of the cells, {cycle:g} s"
         hint = "Cells divide between coupling steps; take about a twentieth of the cycle."
         raise SceneError("coupling_step", problem, hint)
+
+
+def _check_crowd(scene: Scene) -> None:
+    """Raise ``SceneError`` for cells so dense at the start that they are on top of each other.
+
+    In the closest packing of points √2/d³ of them are in a unit of space, 2/(√3 d²) in one of a
+    plane; counted are those within a diameter of each.
+    """
+    start, n = scene.initial, scene.initial.count
+    if start.cells is not None or not scene.contact.acts:
+        return
+    axes = 1 if start.shape == "row" else scene.dimensions
+    within = (2.0, 2.0 * math.pi / math.sqrt(3.0), 4.0 * math.pi * math.sqrt(2.0) / 3.0)[axes - 1]
+    near = min(n - 1.0, within / max(start.spacing, 1e-6) ** axes)  # no power underflows
+    if 0.5 * n * near > _CROWD[0] * n + _CROWD[1]:
+        problem = f"is {start.spacing:g}: each of {n:,} cells would overlap {near:,.0f} others"
+        raise SceneError("initial.spacing", problem, "At 1 neighbours touch.")
 
 
 def _check_overlap(scene: Scene) -> None:

@@ -36,7 +36,7 @@ from multicell.plugins.named import OWN_OBJECT
 from multicell.scene.checks import check_kinds
 from multicell.scene.dependences import followed
 from multicell.scene.networks import check_kinds_have, check_network_signal, network_signals
-from multicell.scene.oxygen import concentration
+from multicell.scene.oxygen import check_dissolves, concentration
 from multicell.scene.parts import loaded_in
 from multicell.scene.reactions import group_of
 from multicell.schema import (
@@ -411,7 +411,9 @@ def signal_reader(scene: Scene, name: str) -> Any:
         given = (
             concentration(value, name, path, scene.nutrients) if isinstance(value, str) else value
         )
-        return read(given, path)
+        level = float(read(given, path))
+        check_dissolves(level, scene.nutrients[name].temperature, path)
+        return level
 
     return oxygen if name == "oxygen" and name in scene.nutrients else read
 

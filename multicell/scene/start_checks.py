@@ -14,6 +14,7 @@ from multicell.scene.sizes import birth_radius
 from multicell.scene.start_table import near_pairs, positions, refuse_coinciding
 from multicell.schema import near_miss
 from multicell.tables.titles import titled
+from multicell.units import shown, whole_number
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -61,8 +62,9 @@ def kinds_of(scene: Scene, given: Given) -> NDArray[np.int16] | None:
     for code, number in enumerate(numbers):
         if number is None:
             row = int(np.argmax(codes == code))
-            problem = f"is {given.kinds[code]!r}, no type of this scene"
-            none = f"It has no [types]: write [types.{given.kinds[code]}], or leave the column out."
+            problem = f"is {shown(given.kinds[code])}, no type of this scene"
+            table = f"[types.{given.kinds[code][:40]}]"
+            none = f"It has no [types]: write {table}, or leave the column out."
             hint = near_miss(given.kinds[code], names) if names else none
             raise DataError(given.place(row, "kind"), problem, hint)
     return np.asarray(np.array(numbers, dtype=np.int16)[codes])
@@ -72,9 +74,9 @@ def _type_of(word: str, names: list[str]) -> int | None:
     """Return the place of a type by its name, or by this number as text."""
     if word in names:
         return names.index(word)
-    number = int(word) if word.isdecimal() else -1
+    number = whole_number(word)
     # in a scene without types all cells are of type 0
-    return number if 0 <= number < max(len(names), 1) else None
+    return number if number is not None and number < max(len(names), 1) else None
 
 
 def _check_axes(scene: Scene, given: Given) -> None:

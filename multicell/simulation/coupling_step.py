@@ -248,10 +248,12 @@ def _exposed(
     again = marches and (plan.acting or jumped)
     attempt = run, state, people, found, timeline, fields.steady if jumps else (), followed, lap
     exposure, decided, correction, met = _attempt(*attempt, until)
-    if again and np.count_nonzero(decided.died):
+    missed = -np.count_nonzero(decided.died)
+    if again and missed:
         until = np.where(decided.died, 1.0 - decided.cells.age / (end - begin), 1.0)
         fields.state = state.fields
         exposure, decided, correction, met = _attempt(*attempt, until)
+    missed += np.count_nonzero(decided.died)
     cells, dead, released = decided
     lineage, exposures = people.lineage, state.exposures
     if np.count_nonzero(dead):
@@ -262,6 +264,8 @@ def _exposed(
         fields.give_back(before, cells, late)
     if plan.acting:
         exposures = remainders(plan, exposure, exposures, jumped=jumped)
+        # one more pass would let about as many more die as the second one has
+        exposures["error"] -= missed
     if correction is not None:
         exposures = {**exposures, "networks": correction}
     cells, rows = mutate_as_found(plan, cells, exposure, people.next_id)

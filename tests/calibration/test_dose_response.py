@@ -196,6 +196,9 @@ PAIR = {"dose": list(DOSES) * 2, "response": [*(1.0 - DOSES / 40.0)] * 2}
 TABLES = {
     "unknown title": ({"dosis": DOSES, "response": DOSES}, "Did you mean 'dose'"),
     "no response": ({"dose": DOSES}, "no column 'response'"),
+    "two of a name": (
+        {"dose": DOSES, "Dose": DOSES, "response": DOSES}, "names what another column has, too"
+    ),
     "no control": ({"dose": DOSES[1:], "response": DOSES[1:]}, "dose 0, the control"),
     "too few": ({"dose": DOSES[:4], "response": DOSES[:4]}, "3 doses above 0 in 'dose'"),
     "negative": ({"dose": [-1.0, *DOSES], "response": [1.0, *DOSES]}, "a dose below 0"),

@@ -214,6 +214,11 @@ CANNOT_START = {
          "nutrients": {"o2": {"geometry": "radial", "spacing": 0.5}}},
         "nutrients.o2.spacing",
     ),
+    "a crowd": ({"initial": {"count": 20_000, "spacing": 1e-3}}, "initial.spacing"),
+    "cells at one point": ({"initial": {"count": 20_000, "spacing": 1e-300}}, "initial.spacing"),
+    "a crowd in a plane": (
+        {"dimensions": 2, "initial": {"count": 20_000, "spacing": 0.01}}, "initial.spacing"
+    ),
     "a plane of too many squares": (
         {"dimensions": 2,
          "nutrients": {"o2": {"uptake": 0.0, "margin": 1e5, "spacing": 10.0}}},

@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.behaviours.catalogue import CONTACTS, behaviour_named
 from multicell.errors import SceneError
-from multicell.importing.files import found_file, read_rows, whole_number
+from multicell.importing.files import found_file, read_rows
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, CellDefinition, Model
+from multicell.units import whole_number
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -6,10 +6,10 @@ import math
 from typing import TYPE_CHECKING
 
 from multicell.errors import SceneError
-from multicell.importing.files import whole_number
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, Model
 from multicell.scene.domain import filling
+from multicell.units import whole_number
 
 if TYPE_CHECKING:
     from multicell.importing.files import Element
