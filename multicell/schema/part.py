@@ -182,7 +182,8 @@ def chosen(
 
 def near_miss(name: str, options: Iterable[str], *, listed: bool = True) -> str:
     """Return ``"Did you mean 'viscosity'?"`` if a name is near, and the list of all names."""
-    names = {option.lower(): option for option in options}
+    known = list(dict.fromkeys(options))
+    names = {option.lower(): option for option in known}
     word = str(name).lower()
     near = (
         [option for option in _MEANT.get(word, ()) if option in names]
@@ -191,7 +192,7 @@ def near_miss(name: str, options: Iterable[str], *, listed: bool = True) -> str:
     )
     parts = [f"Did you mean '{names[near[0]]}'?"] if near else []
     if listed:
-        parts.append(f"Allowed: {_listed(list(names.values()))}")
+        parts.append(f"Allowed: {_listed(known)}")
     return " ".join(parts)
 
 
