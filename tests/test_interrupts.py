@@ -246,6 +246,7 @@ print("whole")
 """
 
 
+@pytest.mark.slow
 def test_no_press_cuts_a_file_that_is_written(tmp_path):
     done = subprocess.run(
         [sys.executable, "-X", "faulthandler", "-c", WRITES], capture_output=True, text=True,

@@ -9,6 +9,8 @@ from multicell.integrators.auto import Auto
 from multicell.integrators.cvode import Cvode, CvodeAdams
 from multicell.integrators.restarts import IntegrationProgress
 
+pytestmark = pytest.mark.kernels
+
 
 def ball(n):
     """Return centres and radii of a settled ball in which the innermost cell has just divided."""

@@ -18,6 +18,8 @@ from multicell.mechanics import preconditioners as sparse
 from multicell.mechanics.motion import StateRejected
 from multicell.scene.parts import IntegratorOptions
 
+pytestmark = pytest.mark.kernels
+
 LONE = {
     "nobody": np.empty((0, 3)),
     "one cell": np.zeros((1, 3)),

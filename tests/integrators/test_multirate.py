@@ -18,6 +18,8 @@ from multicell.integrators.stepping import compiled
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
 
+pytestmark = pytest.mark.kernels
+
 
 @compiled
 def velocities_of_a_part(source, pairs, is_fast, position, elapsed):

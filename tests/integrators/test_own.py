@@ -16,6 +16,8 @@ from multicell.integrators.registry import METHODS, from_options
 from multicell.integrators.runge_kutta import Heun
 from multicell.plugins.named import load_object
 
+pytestmark = pytest.mark.kernels
+
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_integrator.py"
 SCENE = {"initial.count": 20, "duration": "20 min", "output.every": "5 min", "coupling_step": 60.0}
 

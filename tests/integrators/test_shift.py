@@ -15,6 +15,8 @@ from multicell.integrators.auto import Auto
 from multicell.integrators.shift import SHARE, SHIFT, Replays, replay_step, shifted_positions
 from multicell.simulation import Simulation
 
+pytestmark = pytest.mark.kernels
+
 METHODS = ["auto", "cvode", "rkc2", "ab2"]
 
 

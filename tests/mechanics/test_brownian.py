@@ -10,6 +10,8 @@ from multicell.mechanics.brownian import BrownianPaths
 from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
 
+pytestmark = pytest.mark.kernels
+
 SPAN = 600.0 * 2.0**5
 RADIUS = 5.0 * 0.5 ** (1 / 3)
 DRAG = 6 * np.pi * 5.0 * RADIUS
@@ -149,7 +151,7 @@ def spring_scene(**parts):
     })  # fmt: skip
 
 
-@pytest.mark.parametrize("part", [0.25, 0.5])
+@pytest.mark.parametrize("part", [pytest.param(0.25, marks=pytest.mark.slow), 0.5])
 def test_variance_in_a_harmonic_spring(part):
     """D γ / k of a cell between held ones, 2 k from two sides, by (2 / κh) tanh(κh / 2).
 
@@ -196,6 +198,7 @@ def lengths_of(run):
     return np.linalg.norm(both[:, 1] - both[:, 0], axis=1)
 
 
+@pytest.mark.slow
 def test_pairs_in_contact_follow_boltzmann():
     """The distance has the density r² exp(-U / D γ)."""
     kappa, length = 2 * STIFFNESS / DRAG, 2 * RADIUS
