@@ -130,7 +130,7 @@ def quantile(phase: PhaseLength, u: FloatArray) -> FloatArray:
 
 
 def scatter_about(
-    seed: int, purpose: Purpose, step: int, ids: IntArray, mean: float, variation: float
+    seed: int, purpose: Purpose, event: int, ids: IntArray, mean: float, variation: float
 ) -> FloatArray:
     """Return positive numbers that scatter normally about ``mean``, (n,).
 
@@ -140,7 +140,7 @@ def scatter_about(
     """
     if variation == 0.0:
         return np.full(len(ids), mean)
-    z = random.truncated_normal(seed, purpose, step, ids, _cut(variation))
+    z = random.truncated_normal(seed, purpose, event, ids, _cut(variation))
     return np.asarray(mean * (1.0 + variation * z))
 
 

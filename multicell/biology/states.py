@@ -78,7 +78,7 @@ def update_states(
     if plan.may_rest and not plan.restricted:
         wanted = np.where(wants_rest(plan, cells, signals), _RESTING, _GROWING)
         if np.count_nonzero(wanted != state):  # else it does not matter who is due
-            due = deciding(cells, dt or plan.step, plan.cells.reaction_time, ahead)
+            due = deciding(cells, dt or plan.coupling_step, plan.cells.reaction_time, ahead)
             state = np.where(due, wanted, state)
     necrosis, apoptosis, _ = deaths(plan, cells, signals) if dying is None else dying
     for new, part in ((_NECROTIC, necrosis), (_APOPTOTIC, apoptosis)):

@@ -114,7 +114,7 @@ def age_cells(
 
 def bind(plan: BiologyPlan, after: Cells, cells: Cells, signals: Signals, time: float) -> Cells:
     """Return ``after`` with the receptors and ligands that ``cells`` have at a time in s."""
-    if plan.adhesion is None:
+    if plan.receptors is None:
         return after
     receptor, ligand = np.ascontiguousarray(bond_levels(plan, cells, signals, time).T)
     return after.changed(receptor=receptor, ligand=ligand)
@@ -127,7 +127,7 @@ def bind_changed(
 
     Those before are the cells or their mothers, and ``signals`` is what these find; ``time`` in s.
     """
-    if plan.adhesion is None or cells.kind is before.kind:
+    if plan.receptors is None or cells.kind is before.kind:
         return cells
     row = rows_before(before, cells)
     changed = np.flatnonzero(cells.kind != before.kind[row])
@@ -185,7 +185,7 @@ def decide(
     if exposure is not None and not plan.restricted:
         cells = rest_from_birth(cells, before, exposure)
     if plan.restricted:
-        due = deciding(cells, dt or plan.step, plan.cells.reaction_time, ahead)
+        due = deciding(cells, dt or plan.coupling_step, plan.cells.reaction_time, ahead)
         well = ~wants_rest(plan, cells, signals)
         cells = leave_rest(plan, cells, due & well)
     died, lost = cells.state != before, 0.0

@@ -115,10 +115,10 @@ USUAL_ATOL = 0.1  # absolute tolerance of methods whose worst cell is safe with 
 OUT_OF_STEPS_HINT = "Raise integrator.max_steps, loosen integrator.atol or shorten coupling_step"
 
 
-def move_words(step: float, moved: float, allowed: float) -> str:
+def move_words(dt: float, moved: float, allowed: float) -> str:
     """Return the words for a step, s, that would move a cell too far, both in its radius."""
     return (
-        f"a step of {step:.3g} s would move the cell by {moved:.3g} of its radius "
+        f"a step of {dt:.3g} s would move the cell by {moved:.3g} of its radius "
         f"(allowed: {allowed:g})"
     )
 

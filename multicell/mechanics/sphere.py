@@ -73,13 +73,13 @@ class Sphere:
                 low = guess
             else:
                 high = guess
-            step = guess + excess / bend
-            if not low <= step <= high:
-                step = 0.5 * (low + high)
+            better = guess + excess / bend
+            if not low <= better <= high:
+                better = 0.5 * (low + high)
             # once more at the solution, for the bend
-            if abs(step - guess) <= 2e-16 * guess:
+            if abs(better - guess) <= 2e-16 * guess:
                 break
-            guess = step
+            guess = better
         self.radius, self._bend = guess, bend
 
     def _excess(

@@ -215,14 +215,14 @@ class MultigridSolver:
         for _ in range(MAX_CG):
             level.share(kernels.direct, p, z, np.float32(beta))
             level.share(kernels.apply_planes, p, level.rate, level.along, level.weights, q, parts)
-            step = rho / float(parts.sum())
-            level.share(kernels.update_residual_planes, np.float32(step), x, p, r, q, parts)
+            alpha = rho / float(parts.sum())
+            level.share(kernels.update_residual_planes, np.float32(alpha), x, p, r, q, parts)
             self.cg += 1
             if not float(parts.sum()) > max(goal, FINEST) ** 2:
                 break
             z = self._hierarchy.cycle()
             following, change = self._products(z)
-            beta, rho = -step * change / rho, following
+            beta, rho = -alpha * change / rho, following
         self.newton += 1
         x *= np.float32(size / self.operator.stiffness)
         return x.reshape(self.operator.shape)

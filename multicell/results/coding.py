@@ -46,8 +46,8 @@ def decode(coded: Coded, faces: FloatArray) -> FloatArray:
     values = np.zeros(coded.shape, "<f8")
     for layer in range(len(values)):
         whole, sign = coded[layer] >> np.uint64(1), coded[layer] & np.uint64(1)
-        step = whole.view("<i8") ^ -sign.view("<i8")
-        values[layer] = (step + _bits(_prediction(values, layer, faces))).view("<f8")
+        difference = whole.view("<i8") ^ -sign.view("<i8")
+        values[layer] = (difference + _bits(_prediction(values, layer, faces))).view("<f8")
     return values
 
 

@@ -466,9 +466,9 @@ def check_readable(path: Path) -> None:
                 if isinstance(entry, h5py.Group):
                     groups.append(entry)
                 elif isinstance(entry, h5py.Dataset) and entry.shape:
-                    step = max(1, _BATCH * len(entry) // max(entry.nbytes, 1))
-                    for begin in range(0, len(entry), step):
-                        entry[begin : begin + step]
+                    batch = max(1, _BATCH * len(entry) // max(entry.nbytes, 1))
+                    for begin in range(0, len(entry), batch):
+                        entry[begin : begin + batch]
 
 
 def _check_format(path: Path, file: Any) -> None:

@@ -213,7 +213,8 @@ def read_summary(contents: Contents) -> dict[str, Any] | None:
         same = summary["scene_digest"] == scene_mark(contents.scene)
     else:  # an older version has written it
         same = all(
-            (summary.get("time", end.time), summary.get("steps", end.step)) == (end.time, end.step)
+            (summary.get("time", end.time), summary.get("steps", end.step_index))
+            == (end.time, end.step_index)
             for end in contents.places[-1:]
         )
     if not same:

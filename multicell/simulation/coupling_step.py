@@ -114,9 +114,9 @@ def _moved(
     run: Machinery, state: RunState, found: Signals, end: float, radius: FloatArray
 ) -> tuple[Moved, Mapping[str, float] | None]:
     """Return the moved cells, and when a pull has parted them."""
-    begin, step = state.timeline.time, state.timeline.step
+    begin, step_index = state.timeline.time, state.timeline.step_index
     motion = run.motion(state, found, begin, end, radius)
-    moved = run.mover.move(state.cells, motion, step, state.replays, state.stability)
+    moved = run.mover.move(state.cells, motion, step_index, state.replays, state.stability)
     pull, none_left = run.scene.pull, moved.contacts is not None and not len(moved.contacts)
     if pull is None or not none_left or not len(state.contacts):
         return moved, state.separation
@@ -134,7 +134,7 @@ def _parting(
         middle = 0.5 * (low + high)
         grown = cells.radius + (middle - begin) / (end - begin) * (radius - cells.radius)
         motion = run.motion(state, found, begin, middle, grown)
-        moved = run.mover.move(cells, motion, state.timeline.step, None, state.stability)
+        moved = run.mover.move(cells, motion, state.timeline.step_index, None, state.stability)
         joined = moved.contacts is not None and len(moved.contacts) > 0
         low, high = (middle, high) if joined else (low, middle)
     return high
@@ -168,7 +168,7 @@ def _after_events(
     """Return the cells at the end of a step after division and removal, sorted where it is due."""
     plan, begin, end, first = run.plan, state.timeline.time, timeline.time, state.next_id
     here: Signals = {}
-    if plan.adhesion is not None:
+    if plan.receptors is not None:
         here = run.signals(state.cells, contacts, begin)
     aged, lost = age_cells(plan, state.cells, grown, here, begin, end)
     aged = aged.changed(position=moved.position, pressure=moved.pressure)

@@ -161,9 +161,9 @@ class RunState:
 
     def view(self) -> Frame:
         """Return it as a frame without fields and what only those need who resume from it."""
-        time, step = self.timeline.time, self.timeline.step
+        time, step_index = self.timeline.time, self.timeline.step_index
         found = self.fields.concentrations
-        return Frame(time, step, self.cells, found, contacts=self.contacts)
+        return Frame(time, step_index, self.cells, found, contacts=self.contacts)
 
     def with_cells(self, cells: Cells, kinds: int) -> RunState:
         """Return the state with cells as a user has left them, in arrays of its own.

@@ -246,7 +246,7 @@ class Simulation:
     @property
     def step_index(self) -> int:
         """Number of coupling steps done."""
-        return self._state.timeline.step
+        return self._state.timeline.step_index
 
     @property
     def steps(self) -> int:

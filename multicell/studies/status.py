@@ -201,7 +201,7 @@ def _unfinished_status(name: str, place: Path, state: str) -> RunStatus:
         return nothing
     last = contents.places[-1]
     cells = contents.history().get("cells", ())
-    row = min(last.step, len(cells) - 1)
+    row = min(last.step_index, len(cells) - 1)
     count = int(cells[row]) if row >= 0 else 0
     return RunStatus(name, state, "", count, last.time, frames=len(contents.places))
 

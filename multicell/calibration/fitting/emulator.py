@@ -369,10 +369,10 @@ def draws(loss: Loss, prior: Prior, seed: int, count: int = PARTICLES) -> Array:
     losses = loss(found)
     power = 0.0
     while power < 1.0:
-        step = _step(losses, 1.0 - power)
-        power = 1.0 if step >= 1.0 - power else power + step
+        rise = _step(losses, 1.0 - power)
+        power = 1.0 if rise >= 1.0 - power else power + rise
         places = (random.random() + np.arange(count)) / count  # systematic resampling
-        rows = np.searchsorted(np.cumsum(_weights(losses, step)), places)
+        rows = np.searchsorted(np.cumsum(_weights(losses, rise)), places)
         chosen = np.minimum(rows, count - 1)
         found, losses = _move(loss, prior, found[chosen], losses[chosen], power, random)
     return found

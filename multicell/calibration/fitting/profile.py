@@ -69,10 +69,10 @@ class LikelihoodProfile:
         limit = float(stats.chi2.ppf(level, 1))
         inside = np.flatnonzero(self.loss <= limit)
         ends = []
-        for place, step in ((int(inside[0]), -1), (int(inside[-1]), 1)):
-            beyond = place + step
+        for place, way in ((int(inside[0]), -1), (int(inside[-1]), 1)):
+            beyond = place + way
             if not 0 <= beyond < len(self.loss):
-                ends.append(step * np.inf)
+                ends.append(way * np.inf)
                 continue
             # near its least value a profile is a parabola: its root is nearly straight
             low, high = (float(np.sqrt(max(self.loss[k], 0.0))) for k in (place, beyond))
