@@ -180,7 +180,7 @@ print(json.dumps({
 
 @pytest.fixture(scope="module")
 def followed(tmp_path_factory):
-    """Return what each recipe gives in a copy of the package in which all are followed."""
+    """Return the result of each recipe in a copy of the package in which all are followed."""
     folder = tmp_path_factory.mktemp("recipes")
     package = folder / "multicell"
     shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__"))

@@ -79,7 +79,7 @@ class BiologyPlan:
     - ``doubling``, (types or 1,) s, or None: time in which volumes double, for all cells of a type;
       None where it follows from the phases that each cell draws
     - ``target_scale``, (5,) or None: of the volumes that growth goes to, for each phase
-    - ``solubility``, field -> mM/kPa: of oxygen, in the fields that say what irradiation does
+    - ``solubility``, field -> mM/kPa: of oxygen, in the fields that modify irradiation
     - ``period``, (3,) µm, or None: lengths after which space repeats, see Domain.period
     - ``cells`` to ``motions``: parts of the scene that hold nothing but numbers and names
     """

@@ -38,7 +38,7 @@ class Grown(NamedTuple):
 
     - ``radius``, (n,) µm
     - ``factor``, (n,): part of unlimited growth at which they have grown if they could
-    - ``lag``, (n,) s: what they have yet to make good
+    - ``lag``, (n,) s: growth yet to be made good
     - ``cycling``: their place in the cycle; None where the scene has no phases
     """
 
@@ -74,7 +74,7 @@ def grow(plan: BiologyPlan, cells: Cells, signals: Signals, factor: FloatArray, 
     """Let cells grow for a time ``dt`` (s).
 
     ``factor`` is how fast they grow where they are, (n,); see
-    :func:`multicell.biology.growth.growth_factor`. What earlier steps have left out is made good.
+    :func:`multicell.biology.growth.growth_factor`. Growth left out by earlier steps is made good.
     """
     own, factor = factor, corrected_factor(plan, cells, factor, dt)
     lag = cells.lag if factor is own else cells.lag - dt * (factor - own)
@@ -125,7 +125,7 @@ def bind_changed(
 ) -> Cells:
     """Return cells, those of another type than ``before`` with its receptors and ligands.
 
-    Those before are the cells or their mothers, and ``signals`` is what these find; ``time`` in s.
+    Those before are the cells or their mothers, and ``signals`` are of these; ``time`` in s.
     """
     if plan.receptors is None or cells.kind is before.kind:
         return cells
@@ -172,7 +172,7 @@ def decide(
     ahead: float | None = None,
     time: float = 0.0,
 ) -> Decided:
-    """Return the cells with the damage and the states that they have by what they find.
+    """Return the cells with the damage and the states that follow from their signals.
 
     - ``exposure``: to the signals of the step that has ended; absent at the start of a run
     - ``ahead``: length of the next step, s; absent: the usual one

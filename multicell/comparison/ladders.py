@@ -39,7 +39,7 @@ class Method:
     """A method of integration with its setting.
 
     - ``name``, str: name in tables and charts
-    - ``control``, "tolerance", "step" or "none": what its setting means: a tolerance in mean
+    - ``control``, "tolerance", "step" or "none": meaning of its setting: a tolerance in mean
       radii, or a step in s; or that it has none
     - ``make``, callable: setting -> integrator
     - ``info``, MethodInfo: what is known of it; by default what the registry knows by that name

@@ -57,7 +57,7 @@ def whole_number(text: str) -> int | None:
 @final
 @dataclass(eq=False, slots=True)
 class Element:
-    """An element: its tag, what it holds, and where it stands."""
+    """An element: its tag, content and place."""
 
     tag: str
     attributes: dict[str, str]

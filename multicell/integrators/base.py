@@ -183,9 +183,9 @@ class MethodInfo:
     friction : bool
         Whether it can solve scenes with friction between cells, where J is a full matrix.
     atol : float, µm
-        Absolute tolerance where a scene, or a caller of the class, names none: a class with
-        another one than usual has ``atol: float = info.atol``. What it means for single cells is
-        measured by ``docs/programs/tolerances.py``.
+        Absolute tolerance where a scene, or a caller of the class, names none: a class with another
+        one than usual has ``atol: float = info.atol``. ``docs/programs/tolerances.py`` measures its
+        effect on single cells.
     most_cells : int or None
         Most cells that it holds; None for any number.
     why_no_more : str

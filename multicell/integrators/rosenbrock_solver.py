@@ -342,7 +342,7 @@ class Walk:
         """Return the end of a step and two estimates of its error, (n, 3) µm each.
 
         The method's own one is smoothed by (I - γA)⁻¹, and a contact that forms within a long step
-        hardly shows in it. The other is what A does not explain of the change of velocity.
+        hardly shows in it. The other is the part of the change of velocity that A does not explain.
         """
         method, system, start = self.method, self.system, self.position
         solve = self._resolvent.solve

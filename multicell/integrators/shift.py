@@ -91,7 +91,7 @@ def replay_step(
       ``start``
 
     Returns float or None: largest distance of a cell from ``end``, µm; None if the end is not
-    reached from there; float: what it cost, in evaluations of one cell.
+    reached from there; float: its cost, in evaluations of one cell.
     """
     system.begin(system.motion)
     work, counts = system.work, vars(system.work).copy()

@@ -12,9 +12,9 @@ gather into small arrays, evaluate the law there (which the compiler turns into 
 scatter. Gather and scatter take four pairs at a time (:class:`_Quads`). Every chunk writes to its
 own cells only, so that the serial and the parallel drivers give the same bits.
 
-``law`` are the constants of a pair law, see :mod:`multicell.contact.constants`.
-What a scene does not have is None (receptors, external forces, values of each pair's own): compiled
-code is specialised on it, and holds nothing of what is absent.
+``law`` are the constants of a pair law, see :mod:`multicell.contact.constants`. Absent parts of a
+scene are None (receptors, external forces, values of each pair's own): compiled code is specialised
+on that, and holds nothing of them.
 """
 
 from __future__ import annotations

@@ -139,7 +139,7 @@ class Sphere:
     def yielding(
         self, rows: FloatArray, add_pressures: Callable[[FloatArray], None] | None
     ) -> FloatArray | None:
-        """Return c/√b of a gel, (n, 3); ``add_pressures`` adds what compressed tissue has of c."""
+        """Return c/√b of a gel, (n, 3); ``add_pressures`` adds that of compressed tissue."""
         if self.shear is None:
             return None
         out = np.zeros((len(rows), 3))

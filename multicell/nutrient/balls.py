@@ -39,9 +39,9 @@ _POINT = 0.01
 """Radius over the spacing below which a cell is a point: as near as 2e-5 squared spacings."""
 
 _PER_RADIUS = 1.8
-"""Boxes along an axis for each spacing that a radius is long: what they miss of the potential of a
-ball, 0.14 over their number squared, is a tenth of what the spacing makes, 0.42 squared spacings
-over the squared radius."""
+"""Boxes along an axis for each spacing that a radius is long: their error in the potential of a
+ball, 0.14 over their number squared, is a tenth of that by the spacing, 0.42 squared spacings over
+the squared radius."""
 
 _ONE = 1.6
 """Radius over the spacing up to which one box makes a ball."""

@@ -58,7 +58,7 @@ _SMOOTHER = tuple(
 
 
 _Axis = tuple[Float32Array, Float32Array, NDArray[np.int64], Float32Array]
-"""What a level has along an axis, see :func:`_axis`."""
+"""Coefficients of a level along an axis, see :func:`_axis`."""
 
 
 @final
@@ -276,8 +276,8 @@ def _axis(n: int, low: bool, high: bool) -> tuple[_Axis, ...]:
 def _along(width: FloatArray, low: bool, high: bool) -> Float32Array:
     """Return the coefficients of minus the second difference along an axis, (4, n).
 
-    Of the lower and of the upper neighbour, and what the node has by its lower and by its upper
-    face. ``width`` (n,) are the nodes' widths.
+    Of the lower and of the upper neighbour, and of the node by its lower and by its upper face.
+    ``width`` (n,) are the nodes' widths.
     """
     table = np.zeros((4, len(width)))
     distance = 0.5 * (width[1:] + width[:-1])

@@ -22,7 +22,7 @@ import numpy as np
 from multicell.compiling import INLINED, KERNEL, typed
 
 _jit = typed(**KERNEL, nogil=True)
-# calls for each row would take as long as what they do
+# a call for each row would take as long as its work
 _inline = typed(**INLINED, nogil=True)
 
 _NONE = np.float32(0.0)

@@ -89,8 +89,7 @@ class SolveReport(NamedTuple):
     - ``inflow``, float, amol/s: net diffusion through the faces of the box
     - ``uptake``, float, amol/s: total uptake
     - ``outflow``, float, amol/s: what leaves through the faces; ``inflow`` is net
-    - ``made``, ``used``, float, amol/s: by reactions, what they make of it and take from it at each
-      place
+    - ``made``, ``used``, float, amol/s: gain and loss by reactions at each place
     """
 
     newton: int

@@ -153,7 +153,7 @@ def _discs(pen: Any, cells: Cells, group: IntArray, colours: list[str], dimensio
 
 
 def _explain(pen: Any, words: str, palette: Mapping[str, str], scale: float) -> None:
-    """Write what is shown, a bar of a round length, and what the colours mean."""
+    """Write the title, a bar of a round length, and the meaning of colours."""
     from PIL import ImageFont
 
     font = ImageFont.load_default(size=18)

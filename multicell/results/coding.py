@@ -1,7 +1,7 @@
 """Code fields as differences from the prediction of a stencil: exact, a third of the size.
 
 Outside the cells nothing is taken up, so a steady field is harmonic there: a node follows from the
-two layers of nodes before it by the Laplacian of seven points, up to what the solver has left over
+two layers of nodes before it by the Laplacian of seven points, up to the residual of the solver
 (1e-14 of its value; a plain difference of neighbours leaves 1e-2). So a layer is predicted from the
 two before it, and what is kept is the difference of the two bit patterns, taken as integers. Inside
 the tissue the prediction is poorer, and nothing but size depends on it.

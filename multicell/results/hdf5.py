@@ -395,8 +395,8 @@ def _open_file(path: Path, image: bytes | None = None) -> Iterator[Any]:
     """Open a file for reading and turn all that HDF5 has to say into words.
 
     Not in HDF5's mode for files that are being written: in that a damaged one is read again and
-    again for ever. Nor with locks: a file of ours is never changed, and what others do to it is
-    seen by its checksums.
+    again for ever. Nor with locks: a file of ours is never changed, and its checksums show changes
+    by others.
 
     - ``image``: all bytes, in place of those on disk
     """

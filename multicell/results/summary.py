@@ -151,7 +151,7 @@ def _start_notes(states: Mapping[str, int]) -> list[str]:
     if states.get("unfit"):
         notes.append(
             f"The states of {states['unfit']:,} cells at the start do not fit the field: resting "
-            "or dead cells lower what others find, and no states were found that fit."
+            "or dead cells lower concentrations of others, and no states were found that fit."
         )
     return notes
 

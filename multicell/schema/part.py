@@ -45,7 +45,7 @@ class Parameter:
     - ``plain``: turns the stored value into numbers, strings and dicts that ``convert`` accepts
     - ``unit``: base unit of a quantity, else empty
     - ``allowed``: the allowed range or names in words, else empty
-    - ``doc``: what the parameter means
+    - ``doc``: meaning of the parameter
     - ``shorthand``: the key of a table that a bare string in the table's place stands for, else
       empty
     - ``table``: the class of a table, else None
@@ -150,7 +150,7 @@ def leaves(
 
 
 def part_as_dict(part: Any, names: Container[str] | None = None) -> dict[str, Any]:
-    """Return a part as a dict of plain values in base units; what is absent has no key.
+    """Return a part as a dict of plain values in base units; absent values have no key.
 
     Parts in it that have none of the ``names`` stay as they are.
     """

@@ -1,6 +1,6 @@
 """One coupling step: from the state of a run to the next one.
 
-The data goes one way: growth rates from what the cells find around them, motion while the radii
+The data goes one way: growth rates from the signals of cells, motion while the radii
 grow, then all events (division, removal), then the nutrient field of the new configuration, and
 from it the cells' new states. So a frame taken between two steps is consistent: its concentrations
 are those of its own cells.
@@ -204,9 +204,9 @@ def sorted_in_space(
 
 @final
 class _Lived(NamedTuple):
-    """The cells after all that they do about what they find, as in :class:`_People`.
+    """The cells after all responses to their signals, as in :class:`_People`.
 
-    - ``exposure``: what they have found; ``met``: when what they wait for in networks came true
+    - ``exposure``: to their signals; ``met``: when what they wait for in networks came true
     """
 
     cells: Cells
@@ -226,7 +226,7 @@ def _exposed(
     jumps: bool,
     lap: Laps,
 ) -> _Lived:
-    """Bring the fields through a step, and let cells do what follows from what they find.
+    """Bring the fields through a step, and let cells respond to their signals.
 
     Where rates have killed cells, transient fields are brought through it once more, now with
     these cells until they died.
@@ -292,7 +292,7 @@ def _attempt(
     predicted, ahead, correction, met = cells, None, None, None
     threads = run.mover.system.threads
     if networks is not None and networks.change_fields:
-        # the fields need what networks do at the end of the step
+        # the fields need the rates of networks at the end of the step
         predicted = cells.shared()
         ahead = networks.shares_ahead(predicted, end - begin)
         networks.advance(

@@ -1,7 +1,6 @@
 """Machinery of a run: biology's plan, mechanics and its integrator, fields, clocks.
 
-It holds nothing of a run from step to step. What its parts have of a state is loaded into them
-before they are used.
+It holds nothing of a run from step to step. Parts of a state are loaded into it before use.
 """
 
 from __future__ import annotations

@@ -80,7 +80,7 @@ class Mover:
     ) -> Moved:
         """Integrate the positions through a coupling step.
 
-        - ``replays``, ``known``: what earlier steps have shown
+        - ``replays``, ``known``: results of earlier steps
 
         Raises StepFailed if the integrator fails, a cell leaves the domain, or the method's step is
         too long.

@@ -43,8 +43,8 @@ STATES: Final = ("done", "running", "partial", "waiting", "failed")
 
 Kind = Literal["", "run", "machine", "damage", "unreadable"]
 """What a run failed for: nothing yet; its scene, which fails again; what is no matter of its scene,
-such as a full disk; a folder that holds something else than what was written to it; files that
-cannot be read now, of which nobody knows what they hold."""
+such as a full disk; a folder that holds something else than what was written to it; files of
+unknown content, which cannot be read now."""
 
 
 @final

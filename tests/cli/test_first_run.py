@@ -1,4 +1,4 @@
-"""What a first run says: what is expected, what is compiled, what is left, and what is drawn."""
+"""Lines of a first run: its prediction, compilation, time left, and pictures."""
 
 import time
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""What is wrong is answered with what to write, whatever a newcomer tries; nothing is written."""
+"""Wrong inputs of a newcomer: each message states the right input, and nothing is written."""
 
 import pytest
 from click.testing import CliRunner

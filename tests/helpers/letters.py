@@ -1,4 +1,4 @@
-"""How large the letters of a picture are on a page."""
+"""Size of the letters of a picture on a page."""
 
 from matplotlib.figure import Figure
 from matplotlib.text import Text

@@ -195,7 +195,7 @@ def test_the_example_runs_as_it_stands(tmp_path):
 
 @pytest.mark.parametrize("name", ["auto", "backward-euler", "cvode", "rk4", "rkc2", "scipy-bdf"])
 def test_methods_of_ours_can_be_handed_over_as_an_object(name):
-    """What a class calls a setting that is not used, such as no step, is none of the scene's."""
+    """A class's own default of an unused setting, such as no step, is none of the scene's."""
     asked = scene(**{"initial.count": 3, "duration": "5 min", "integrator.method": name})
     method = from_options(asked.integrator)
     other = scene(**{"initial.count": 3, "duration": "5 min"})

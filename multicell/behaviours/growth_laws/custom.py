@@ -112,7 +112,7 @@ def growth_law(*, parameters: Mapping[str, Any]) -> Callable[[Rate], type[UserGr
     Returns
     -------
     A class of laws: ``scene.with_changes({"growth.law": law(exponent=0.75)})`` takes one of them.
-    :func:`multicell.testing.check_growth_law` reports what does not hold.
+    :func:`multicell.testing.check_growth_law` reports broken promises.
 
     Raises
     ------

@@ -320,7 +320,7 @@ def _dose(value: float, draws: FloatArray, lowest: float, largest: float, unit: 
 def combine_drugs(
     points: FloatArray, viability: FloatArray, draws: FloatArray | None, curves: Sequence[DoseCurve]
 ) -> tuple[list[dict[str, float | bool]], dict[str, Estimate]]:
-    """Compare two drugs together with what each does alone.
+    """Compare two drugs together with each drug alone.
 
     ``bliss_excess`` is E_A E_B - E_AB, with the viabilities at each dose alone: above zero fewer
     survive than if the drugs acted independently (Bliss 1939). ``loewe_index`` is

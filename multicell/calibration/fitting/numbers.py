@@ -53,7 +53,7 @@ class Best:
 
     - ``values``: by key of the scene, in base units
     - ``words``: by key: value and unit for people, ``"15.2 h"``
-    - ``readings``, (n,): what fresh runs have in place of each datum (their mean), base units
+    - ``readings``, (n,): mean of fresh runs in place of each datum, base units
     - ``residuals``, (n,): in standard deviations; positive where the runs have more
     - ``chi_squared``: the sum of their squares
     - ``per_datum``: χ² over the number of data

@@ -1,7 +1,7 @@
 """Networks inside cells: what libRoadRunner solves in PhysiCell.
 
 ``intracellular`` of the type ``roadrunner`` names a file of SBML and maps between it and the cell:
-substances set species, and species set what the cell does, by a code. Numbers pass as they are,
+substances set species, and species set behaviours of the cell, by a code. Numbers pass as they are,
 whatever units the file states: a substance in its unit, rates per minute, speeds in µm/min. Here a
 species acts as a straight line up to the largest value that it begins with or that an event gives
 it; beyond that it acts no more.

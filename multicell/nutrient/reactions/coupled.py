@@ -91,7 +91,7 @@ class Coupled:
     def _balance(
         self, c: FloatArray, sources: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return ∂c/∂t, slopes of all sinks (m, nodes), and what reactions make with its slope."""
+        """Return ∂c/∂t, slopes of all sinks (m, nodes), and rates of reactions and slopes."""
         made, slope = self.kinetics.evaluate(c, self.tissue)
         out, sinks = np.empty_like(c), np.empty_like(c)
         for i, op in enumerate(self.operators):
