@@ -20,6 +20,7 @@ import numpy as np
 
 from multicell.calibration.fitting.emulator import Loss
 from multicell.calibration.fitting.priors import values_at
+from multicell.calibration.shared.confidence import LEVEL
 from multicell.errors import FitFailed, SceneError
 from multicell.measured.noise import Array
 from multicell.schema import near_miss
@@ -56,7 +57,7 @@ class LikelihoodProfile:
     _shares: Array
     _free: Range
 
-    def interval(self, level: float = 0.95) -> tuple[float, float]:
+    def interval(self, level: float = LEVEL) -> tuple[float, float]:
         """Return the ends of the confidence interval, base units.
 
         An end that the searched range does not hold is infinite: the data do not bound the
@@ -81,7 +82,7 @@ class LikelihoodProfile:
             ends.append(float(values_at(self._free, np.array([share]))[0]))
         return ends[0], ends[1]
 
-    def identified(self, level: float = 0.95) -> bool:
+    def identified(self, level: float = LEVEL) -> bool:
         """Return whether the interval has both ends within the range."""
         return bool(np.isfinite(self.interval(level)).all())
 

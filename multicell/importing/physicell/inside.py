@@ -17,7 +17,7 @@ import numpy as np
 from multicell.errors import SceneError
 from multicell.importing.files import found_file
 from multicell.importing.imported import Fate
-from multicell.importing.physicell.model import CellDefinition, Model
+from multicell.importing.physicell.model import MINUTE, CellDefinition, Model
 from multicell.importing.physicell.rules import Rule
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from multicell.importing.files import Element
     from multicell.networks.network import Network
 
-_MINUTE: Final = 60.0  # s
 _READ: Final = ("roadrunner", "sbml")
 _NAMES: Final = {
     "maboss": "a Boolean network (MaBoSS)",
@@ -94,7 +93,7 @@ def _read_network(model: Model, kind: CellDefinition, found: Element, folder: Pa
     if len(model.kinds) > 1:
         table["cells"] = kind.key
     if network.time_unit is None:
-        table["time_unit"] = _MINUTE  # as PhysiCell calls it
+        table["time_unit"] = MINUTE  # as PhysiCell calls it
     if inputs:
         table["inputs"] = {name: model.fields[substance] for name, substance in inputs.items()}
         table["scales"] = {name: 1.0 / model.unit[of] for name, of in inputs.items()}
