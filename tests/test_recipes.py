@@ -178,7 +178,8 @@ mc.testing.check_network(decay)
 def end(**changes):
     scene = mc.load_scene("spheroid").with_changes({
         "initial.count": 8, "duration": "20 min", "contact": {"law": "harmonic", "spring": 3.0},
-        "integrator": "kutta3", "growth.law": "quadratic", "responses.r": {"behaviour": "growth rate", "signal": "oxygen",
+        "integrator": "kutta3", "growth.law": "quadratic",
+        "responses.r": {"behaviour": "growth rate", "signal": "oxygen",
             "law": "exponential", "half": "0.05 mM"},
         "networks.own": {"network": decay, "inputs": {"oxygen": "oxygen"}, "dilution": False,
             "method": "bogacki-shampine", "tolerance": 1e-7},

@@ -27,18 +27,6 @@ BROKEN = """() => [...document.images].filter(
 pytestmark = pytest.mark.skipif(not PAGES, reason="build/docs is not there: sphinx-build makes it")
 
 
-@pytest.fixture(scope="module")
-def browser():
-    if CHROMIUM is None:
-        pytest.skip("there is no Chromium on this machine")
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as tools:
-        started = tools.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield started
-        started.close()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("wide", "scheme"), [(390, "dark"), (1280, "light")])
 def test_pages_fit_and_load_what_is_theirs(browser, wide, scheme):
