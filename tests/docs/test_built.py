@@ -1,7 +1,5 @@
 """The pages as a browser shows them, where they have been built (``.ci/run`` runs this then)."""
 
-import shutil
-
 import pytest
 from page_commands import ROOT
 
@@ -11,7 +9,6 @@ PAGES = sorted(
     for page in BUILT.rglob("*.html")
     if not {"_static", "_sources"} & set(page.relative_to(BUILT).parts)
 )
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 # what is wider than the window, unless something round it scrolls or cuts it off
 WIDE = """() => [...document.querySelectorAll("article *")].filter(element => {

@@ -74,7 +74,7 @@ def test_a_path_belongs_to_its_cell():
 
 def test_internal_steps_lie_on_one_grid():
     given = paths(200.0)
-    assert given.step == 150.0
+    assert given.dt == 150.0
     assert given.times(600.0, 1200.0) == [600.0, 750.0, 900.0, 1050.0, 1200.0]
     assert given.times(700.0, 1000.0) == [700.0, 750.0, 900.0, 1000.0]
     assert given.times(760.0, 770.0) == [760.0, 770.0]
