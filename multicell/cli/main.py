@@ -133,11 +133,16 @@ def run_command(
         complain(table.said)
     if seed is not None:
         described = described.with_changes({"seed": seed})
+    from multicell.results.folder import refuse_results
+
     own = None
     if integrator is not None:
         from multicell.runner import integrated_by
 
         described, own = integrated_by(described, integrator)
+
+    if (output / "summary.json").exists():  # of a whole run: refused before anything is predicted
+        refuse_results(output, overwrite=options["overwrite"])
 
     def simulate(**how: Any) -> Result:
         # loaded after the first words: it takes as long as all before

@@ -243,10 +243,15 @@ def read_named(value: object, path: str, one: Callable[[Any, str], V]) -> Tables
     return Tables({name: one(entry, f"{path}.{name}") for name, entry in entries})
 
 
+_ABSENT: Final = ("off", "no", "none", "false")
+
+
 def mapping(value: object, path: str, hint: str = "") -> dict[str, Any]:
     """Return a copy of a table, or raise ``SceneError``."""
     if not isinstance(value, Mapping):
         asked = hint or "Its entries have names: NAME = VALUE, a line for each."
+        if value is False or (isinstance(value, str) and value.lower() in _ABSENT):
+            asked = f"A scene without it has no such table (--set {path}= takes it out)."
         raise SceneError(path, f"is {shown(value)}, must be a table", asked)
     if not all(isinstance(key, str) for key in value):
         raise SceneError(path, "has keys that are not text, must be a table")

@@ -114,7 +114,7 @@ WRONG = {
     "nothing.py:Midpoint": "there is no file 'nothing.py'",
     "mine.py:Midpont": "has nothing called 'Midpont'. Did you mean 'Midpoint'",
     "mine.py:math": "'math' is no integrator: it has no method integrate(system, position)",
-    "mine.py:": "must be the form 'file.py:Name'",
+    "mine.py:": "must have the form 'file.py:Name'",
     "raises.py:Midpoint": "line 1, raises ZeroDivisionError",
     "wants.py:Wants": "'Wants' cannot be made: ",
     "euIer": "must be one of",
