@@ -182,8 +182,7 @@ def resume_command(
     def simulate(**how: Any) -> Result:
         from multicell.runner import resume as resumed
 
-        given = {"output": output, "changes": parsed, "integrator": integrator}
-        return resumed(folder, frame, **given, **how)
+        return resumed(folder, frame, output=output, changes=parsed, integrator=integrator, **how)
 
     _simulate(simulate, scene, output or folder, **options)
 

@@ -114,7 +114,8 @@ def with_values(
         key = item.partition("=")[0].strip()
         if "=" not in item or not key:
             said = f"'{item}' is not {parameter.metavar}"
-            form = "…" if parameter.metavar == "KEY=VALUE" else parameter.metavar.partition("=")[2]
+            form = (parameter.metavar or "").partition("=")[2]
+            form = "…" if form == "VALUE" else form
             how = f"write the value without a space, as {parameter.opts[0]} {key or 'KEY'}='{form}'"
             raise click.BadParameter(f"{said}: {how}")
     return items

@@ -210,7 +210,7 @@ def inline_picture(figure: Figure) -> InlinePicture:
 def readable_width(figure: Figure) -> int:
     """Return the width from which all letters of a drawn figure can be read, px of 1/96 inch."""
     texts = [text for text in figure.findobj(Text) if isinstance(text, Text)]
-    sizes = [t.get_fontsize() for t in texts if t.get_visible() and t.get_text().strip()]
+    sizes = [float(t.get_fontsize()) for t in texts if t.get_visible() and t.get_text().strip()]
     return readable_from(min(sizes), figure.get_figwidth()) if sizes else 0
 
 
