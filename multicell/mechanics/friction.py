@@ -397,6 +397,9 @@ class FrictionMatrix:
         if not warm:
             velocity[:] = 0.0
             self._work.w[:] = 0.0
+        elif not force[:, 2].any():
+            # cells of a plane stay in it, whatever a guess from beside it left within the tolerance
+            velocity[:, 2] = 0.0
         run: Any = conjugate_gradients_parallel if self._shared else conjugate_gradients
         steps, left, scale = run(
             gamma,

@@ -208,3 +208,15 @@ def test_a_contact_inhibited_monolayer_tells_that_it_is(tmp_path):
     free = mc.run(scene.with_changes({"growth.critical_pressure": None, "duration": "15 min"}))
     assert "pressure_factor" not in free.history
     assert "pressure_factor" not in free.summary()
+
+
+@pytest.mark.parametrize("friction", [{"normal": 0.2}, {"tangential": 0.2}])
+@pytest.mark.parametrize("method", ["rkc2", "auto", "cvode", "backward-euler"])
+def test_friction_leaves_cells_in_their_plane(method, friction):
+    """An estimate of stability looks beside the plane: nothing of it stays in the next guess."""
+    scene = mc.load_scene("settle").with_changes(
+        {"dimensions": 2, "initial.count": 12, "friction": friction, "duration": "5 min",
+         "integrator": {"method": method}}
+    )  # fmt: skip
+    result = mc.run(scene, threads=1)
+    assert (result.frames[-1].cells.position[:, 2] == 0.0).all()
