@@ -111,21 +111,21 @@ def next_state(run: Machinery, state: RunState) -> RunState:
 
 
 def _moved(
-    run: Machinery, state: RunState, found: Signals, end: float, radius: FloatArray
+    run: Machinery, state: RunState, signals: Signals, end: float, radius: FloatArray
 ) -> tuple[Moved, Mapping[str, float] | None]:
     """Return the moved cells, and when a pull has parted them."""
     begin, step_index = state.timeline.time, state.timeline.step_index
-    motion = run.motion(state, found, begin, end, radius)
+    motion = run.motion(state, signals, begin, end, radius)
     moved = run.mover.move(state.cells, motion, step_index, state.replays, state.stability)
     pull, none_left = run.scene.pull, moved.contacts is not None and not len(moved.contacts)
     if pull is None or not none_left or not len(state.contacts):
         return moved, state.separation
-    time = _parting(run, replace(state, stability=moved.stability), found, end, radius)
+    time = _parting(run, replace(state, stability=moved.stability), signals, end, radius)
     return moved, {"time": time, "force": pull.load(time)}
 
 
 def _parting(
-    run: Machinery, state: RunState, found: Signals, end: float, radius: FloatArray
+    run: Machinery, state: RunState, signals: Signals, end: float, radius: FloatArray
 ) -> float:
     """Return when in a step the last contact breaks, s: halving it until the time is known."""
     cells, begin = state.cells, state.timeline.time
@@ -133,7 +133,7 @@ def _parting(
     while high - low > _GRAIN * (end - begin):
         middle = 0.5 * (low + high)
         grown = cells.radius + (middle - begin) / (end - begin) * (radius - cells.radius)
-        motion = run.motion(state, found, begin, middle, grown)
+        motion = run.motion(state, signals, begin, middle, grown)
         moved = run.mover.move(cells, motion, state.timeline.step_index, None, state.stability)
         joined = moved.contacts is not None and len(moved.contacts) > 0
         low, high = (middle, high) if joined else (low, middle)
@@ -221,7 +221,7 @@ def _exposed(
     run: Machinery,
     state: RunState,
     people: _People,
-    found: Signals,
+    signals: Signals,
     timeline: Timeline,
     jumps: bool,
     lap: Laps,
@@ -243,7 +243,7 @@ def _exposed(
         followed = followed | plan.networks.inputs
     marches, until = fields.marches, cast(Any, 1.0)
     again = marches and (plan.acting or jumped)
-    attempt = run, state, people, found, timeline, fields.steady if jumps else (), followed, lap
+    attempt = run, state, people, signals, timeline, fields.steady if jumps else (), followed, lap
     exposure, decided, correction, met = _attempt(*attempt, until)
     if again and np.count_nonzero(decided.died):
         until = np.where(decided.died, 1.0 - decided.cells.age / (end - begin), 1.0)
