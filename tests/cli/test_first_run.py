@@ -18,6 +18,7 @@ from multicell.compiling.listeners import PARTS, part_of
 from multicell.compiling.numba_068 import is_on_disk
 from multicell.host import closed
 from multicell.mechanics import forces
+from multicell.mechanics.neighbours import updating
 from multicell.report.explain import compilation
 from multicell.report.explain.cost import predict
 
@@ -127,6 +128,8 @@ def test_lists_of_many_cells_are_not_expected_of_few():
     few = SPHEROID.with_changes({"stop_cells": 100})
     assert "some 4 s to compile" in _Clock(few).foresee(missing)[0]
     assert "some 10 s to compile" in _Clock(SPHEROID).foresee(missing)[0]
+    # the forecast states it once more: to ask for it loads numba
+    assert compilation.LISTS_FROM == updating.REPAIR_FROM
 
 
 @pytest.mark.parametrize(
