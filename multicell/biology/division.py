@@ -289,14 +289,16 @@ def mutate_as_found(
 
     - ``first``: identity of any first daughter
     """
+    none = np.empty(0, dtype=np.int64)
+    if cells.id is exposure.began.id:  # no cell was born
+        return cells, none
     known = tuple(
         part
         for name, parts in plan.responses.items()
         if name.startswith(tuple(f"{behaviour} " for behaviour in _AT_BIRTH))
         for part in parts
     )
-    none = np.empty(0, dtype=np.int64)
-    if not known or cells.id is exposure.began.id:  # no cell was born
+    if not known:
         return cells, none
     mothers, row = exposure.began, exposure.row
     rows = np.flatnonzero((mothers.id[row] != cells.id) & ~cells.dead)

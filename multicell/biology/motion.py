@@ -43,7 +43,7 @@ def motion_of(
     held, velocity = given or (None, None)
     touching = contact_rows(cells, contacts) if plan.contact.remembers else None
     pushed = push(plan, cells, begin, gradients, signals)
-    for further in (inflow_drag(plan, cells, radius, length), surface_force(plan, cells)):
+    for further in (inflow_drag(plan, cells, radius, length), surface_force(plan, cells, begin)):
         if further is not None:
             pushed = np.zeros((len(cells), 6)) if pushed is None else pushed
             pushed[:, :3] += further

@@ -20,7 +20,6 @@ from multicell.cells import Cells, FloatArray, Mask, State, rows_before
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.balance import FieldExchange, Ledger
 from multicell.nutrient.tissue import Tissue
-from multicell.population.extents import viable_volume
 from multicell.scene.dependences import circles, followed, solving_order
 
 if TYPE_CHECKING:
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     from multicell.cells import IntArray
     from multicell.nutrient.field import NutrientField, Solution
     from multicell.nutrient.group import FieldGroup
+    from multicell.population.extents import Extent, NoExtent
     from multicell.results.frame import Field, Frame
     from multicell.scene.scene import Scene
 
@@ -494,15 +494,14 @@ class FieldSystem:
             return {name: np.zeros((len(cells), 3)) for name in self._followed}
         return {name: self.fields[name].gradient(cells.position) for name in self._followed}
 
-    def columns(self, cells: Cells) -> dict[str, float]:
-        """Return the columns of the history: media, and uptake."""
+    def columns(self, cells: Cells, extent: Extent | NoExtent) -> dict[str, float]:
+        """Return the columns of the history: media, and uptake; ``extent`` is that of the cells."""
         media = {name: field.well_mixed for name, field in self.fields.items()}
         found = {f"medium_{name}": x.concentration for name, x in media.items() if x is not None}
         rates = {name: self._uptake_rate(name, cells) for name in self.fields}
         found |= {f"uptake_{name}": rate for name, rate in rates.items()}
         if rates and self._scene.dimensions == 3:
-            repeats = self._scene.box is not None and self._scene.box.periodic
-            rim = math.nan if repeats else viable_volume(cells)
+            rim = extent.viable_volume()
             found |= {f"rim_uptake_{name}": rate / rim for name, rate in rates.items()}
         return found
 

@@ -107,6 +107,14 @@ class Extent:
             return 0.0
         return max(inhibited_region(self._cells, self._around, threshold), self.dead_core)
 
+    def viable_volume(self) -> float:
+        """Return the volume of the ball of all cells less that of the necrotic core in µm³.
+
+        NaN without living cells.
+        """
+        volume = SPHERE * (self.radius() ** 3 - self.dead_core**3)
+        return volume if volume > 0.0 and not self._cells.dead.all() else math.nan
+
     def rim(self, core: float) -> float:
         """Return the thickness of the layer outside a core, µm; NaN without a core."""
         return self.radius() - core if core > 0.0 else float("nan")
@@ -135,6 +143,10 @@ class NoExtent:
         return math.nan
 
     diameter = packing_ratio = radius
+
+    def viable_volume(self) -> float:
+        """Return NaN."""
+        return math.nan
 
     def core(self, inside: Mask, others: float = 0.5) -> float:
         """Return NaN."""
@@ -165,16 +177,6 @@ def uniform_radius(
     Returns float: radius in µm; 0 if no cell is taken.
     """
     return Extent(cells, dimensions, origin).radius(mask)
-
-
-def viable_volume(cells: Cells) -> float:
-    """Return the volume of the ball of all cells less that of the necrotic core in µm³.
-
-    NaN without living cells.
-    """
-    extent = Extent(cells, 3)
-    volume = SPHERE * (extent.radius() ** 3 - extent.dead_core**3)
-    return volume if volume > 0.0 and not cells.dead.all() else float("nan")
 
 
 def inhibited_radius(cells: Cells, dimensions: int, threshold: float = INHIBITED) -> float:

@@ -74,8 +74,9 @@ class Surroundings:
         part = np.minimum(distance, self.size) / self.size
         return np.asarray(len(self.position) * part**self.dimensions)
 
+    @cached_property
     def may_be_hollow(self) -> bool:
-        """Return whether the nearest cells leave room for as many more as a region must have."""
+        """Whether the nearest cells leave room for as many more as a region must have."""
         nearest = min(_NEAREST, len(self.squares))
         near = np.sqrt(np.sort(np.partition(self.squares, nearest - 1)[:nearest]))
         return bool((self.expected(near) - 2.0 * np.arange(nearest) >= FEWEST).any())
@@ -117,7 +118,7 @@ def region_radius(cells: Surroundings, inside: Mask, others: float = 0.5) -> flo
     if inside.all():
         return cells.size
     few = int(inside.sum()) < FEWEST
-    if few and not cells.may_be_hollow():
+    if few and not cells.may_be_hollow:
         return 0.0
     excess, reach = _excess(cells, inside, others)
     found = cells

@@ -24,13 +24,12 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-def history_row(scene: Scene, frame: Frame, **found: float) -> dict[str, float]:
+def history_row(state: TissueState, **found: float) -> dict[str, float]:
     """Return one row of a run's history as floats; NaN where a number does not exist.
 
-    - ``scene``, ``frame``: the run, and its state
-    - ``**found``: further columns: what the coupling step has found
+    ``**found`` are further columns: what the coupling step has found.
     """
-    state = TissueState(frame, scene)
+    scene, frame = state.scene, state.frame
     row = {"time": frame.time, "step": float(frame.step)}
     for observable, key in scene_observables(scene):
         if observable.measure is not None:

@@ -21,6 +21,7 @@ from multicell.biology.exposure import Exposure, remainders
 from multicell.biology.growth import growth_factor, lag_after
 from multicell.biology.states import irradiate
 from multicell.biology.step import age_cells, bind_changed, decide, divide_and_remove, grow
+from multicell.biology.surface import check_surface_held
 from multicell.biology.waiting import watched
 from multicell.cells import contact_rows
 from multicell.mechanics import neighbours
@@ -117,6 +118,8 @@ def _moved(
     begin, step_index = state.timeline.time, state.timeline.step_index
     motion = run.motion(state, signals, begin, end, radius)
     moved = run.mover.move(state.cells, motion, step_index, state.replays, state.stability)
+    if run.plan.surface_tension > 0.0:
+        check_surface_held(state.cells, moved.position, begin)
     pull, none_left = run.scene.pull, moved.contacts is not None and not len(moved.contacts)
     if pull is None or not none_left or not len(state.contacts):
         return moved, state.separation

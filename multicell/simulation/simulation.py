@@ -16,6 +16,7 @@ from multicell.errors import NutrientFailed, SceneError, StepFailed
 from multicell.host.interrupts import UNCUT, WHOLE_STEP
 from multicell.results import summary
 from multicell.results.lineage import Lineage
+from multicell.results.observable import TissueState
 from multicell.scene.ranges import check_memory
 from multicell.scene.scene import Scene
 from multicell.simulation.assembly import apart_at_start
@@ -172,7 +173,8 @@ class Simulation:
         replays = state.replays
         shift = replays.latest if replays is not None and replays.done else math.nan
         extra = {"shift_effect": shift, "stability_ratio": ratio}
-        extra |= run.field_system.columns(state.cells)
+        tissue = TissueState(state.view(), self.scene)
+        extra |= run.field_system.columns(tissue.cells, tissue.extent)
         if run.plan.acting:
             extra["splitting_events_error"] = abs(state.exposures.get("error", 0.0))
         if run.plan.networks is not None and run.plan.networks.change_fields:
@@ -180,7 +182,7 @@ class Simulation:
         if self.scene.motions:
             now = self._motion(self.time, self.time, state.cells.radius)
             extra |= driven.columns(run.plan, state.cells, state.named, self.mechanics, now)
-        return summary.history_row(self.scene, state.view(), **extra)
+        return summary.history_row(tissue, **extra)
 
     def energy(self) -> float:
         """Return the contact energy of the cells, fJ."""

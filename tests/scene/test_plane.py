@@ -13,6 +13,7 @@ from multicell.report.plots import contacts as contact_plots
 from multicell.report.wording import measures
 from multicell.results import observables
 from multicell.results.frame import Frame
+from multicell.results.observable import TissueState
 from multicell.results.summary import history_row
 from multicell.simulation import Simulation
 
@@ -188,9 +189,9 @@ def test_pressure_factor_by_hand():
              State.PROLIFERATING, State.NECROTIC]  # fmt: skip
     cells = cells_at(position, state=state, pressure=pressure)
     scene = mc.Scene.from_dict({"duration": "1 h", "growth": {"critical_pressure": 0.1}})
-    row = history_row(scene, Frame(0.0, 0, cells, {}))
+    row = history_row(TissueState(Frame(0.0, 0, cells, {}), scene))
     assert row["pressure_factor"] == pytest.approx((1 + 1 + 0.5 + 0.6 + 0) / 5)
-    none = history_row(scene, Frame(0.0, 0, cells.take(np.array([5])), {}))
+    none = history_row(TissueState(Frame(0.0, 0, cells.take(np.array([5])), {}), scene))
     assert np.isnan(none["pressure_factor"])
 
 

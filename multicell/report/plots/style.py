@@ -219,11 +219,12 @@ def _packed(figure: Figure, box: Bbox) -> tuple[str, tuple[int, int]]:
     from PIL import Image
 
     drawn, packed = io.BytesIO(), io.BytesIO()
-    figure.savefig(drawn, format="png", bbox_inches=box, dpi=DPI, facecolor=figure.get_facecolor())
-    image = Image.open(drawn).convert("RGB")
-    # a palette makes it a third as large
+    figure.savefig(drawn, format="rgba", bbox_inches=box, dpi=DPI, facecolor=figure.get_facecolor())
+    size = int(box.width * DPI), int(box.height * DPI)  # as Matplotlib rounds
+    image = Image.frombuffer("RGBA", size, drawn.getvalue(), "raw", "RGBA", 0, 1).convert("RGB")
+    # a palette makes it a third as large; harder packing saves a tenth in ten times the time
     few = image.quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-    few.save(packed, format="PNG", optimize=True)
+    few.save(packed, format="PNG", compress_level=6)
     return base64.b64encode(packed.getvalue()).decode("ascii"), image.size
 
 
