@@ -99,7 +99,7 @@ def _memory():
 @pytest.fixture(scope="session", autouse=True)
 def letters_of_pages():
     """Check every picture that any test puts into a page: its letters can be read there."""
-    from letters import SMALLEST, smallest_letters
+    from letters import PAGE, SMALLEST, smallest_letters
 
     from multicell.report.plots import style
 
@@ -108,7 +108,11 @@ def letters_of_pages():
     def checked(figure):
         size, text = smallest_letters(figure)
         assert size >= SMALLEST, f"{text!r} has {size:.2f} pt at the width of its page"
-        return inline(figure)
+        shown = inline(figure)
+        size, text = smallest_letters(figure, shown.least)
+        assert size + 1e-9 >= SMALLEST, f"{text!r} has {size:.2f} pt on a narrow page"
+        assert shown.least <= PAGE
+        return shown
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(style, "inline_picture", checked)
@@ -162,3 +166,21 @@ def small_disk(tmp_path):
         pytest.skip("to mount a small disk one must be root")
     yield mount, unmount
     unmount()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A browser without a window; software draws for it."""
+    import shutil
+
+    names = ("chromium", "chromium-browser", "google-chrome")
+    found = next(filter(None, map(shutil.which, names)), None)
+    if found is None:
+        pytest.skip("there is no Chromium on this machine")
+    from playwright.sync_api import sync_playwright
+
+    software = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    with sync_playwright() as tools:
+        started = tools.chromium.launch(executable_path=found, args=software)
+        yield started
+        started.close()

@@ -41,7 +41,7 @@ def test_no_depth_makes_a_loop_of_calls_ask_for_memory():
 
 
 def test_without_room_some_depth_does():
-    """What this is for: where Python no longer does so, the module can go."""
+    """Reason of the module: where Python no longer does so, it can go."""
     assert worst() >= CALLS
 
 

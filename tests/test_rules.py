@@ -1,4 +1,4 @@
-"""What every test must keep to, and every file must, read from their source."""
+"""Rules for every test and every file, read from their source."""
 
 import ast
 from pathlib import Path
@@ -60,7 +60,7 @@ def alternatives(path):
 
 
 def broken(rule):
-    """Return what breaks a rule, by file."""
+    """Return offences against a rule, by file."""
     return {str(path.relative_to(TESTS)): found for path in FILES if (found := rule(path))}
 
 
@@ -81,7 +81,7 @@ def test_names_of_test_files_are_given_once():
 
 
 def imported(path):
-    """Return what a file may not import: other files of tests, whose shared parts belong into
+    """Return forbidden imports of a file: other files of tests, whose shared parts belong into
     helpers, and ``tests`` as a package, which it is only for a Python that starts in its folder."""
     tests = {path.stem for path in FILES if path.name.startswith("test_")}
     lines = [item for item in ast.walk(tree(path)) if isinstance(item, ast.Import | ast.ImportFrom)]

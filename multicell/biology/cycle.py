@@ -258,7 +258,7 @@ def leave_rest(plan: BiologyPlan, cells: Cells, wakes: Mask) -> Cells:
 
 
 def enter_cycle(plan: BiologyPlan, cells: Cells, progress: FloatArray) -> None:
-    """Put cells into G1, with what they have spent there already."""
+    """Put cells into G1, with the time already spent there."""
     lengths = draw_lengths(plan, cells.id, cells.kind)
     cells.phase = np.full(len(cells), Phase.G1, dtype=np.int8)
     cells.progress = progress

@@ -73,8 +73,8 @@ def divide(
     Each mother is replaced by two daughters of half her volume, at +- r (1 - 2^(-1/3)) from her
     centre along a random axis, r her radius: volume and centre of mass are conserved and the
     daughters stay within the mother. A mother that passed the division volume within the step was
-    two daughters since: each has half of the division volume, and what it has grown in the rest of
-    the step by its own cycle time. A cell that is doomed to die at this division does not divide.
+    two daughters since: each has half of the division volume, and its growth in the rest of the
+    step by its own cycle time. A cell that is doomed to die at this division does not divide.
 
     Random numbers depend on seed and identity only, and identities are given in the order in which
     mothers came to divide, so that other coupling steps leave draws as they are.

@@ -78,7 +78,7 @@ def bonds(
     times the factors of the concentrations that it finds at ``begin``. Between the two times they
     run linearly, so that a course with a kink between two coupling times is cut there.
     """
-    if plan.adhesion is None:
+    if plan.receptors is None:
         return None
     now = np.stack([cells.receptor, cells.ligand], axis=1)
     then = bond_levels(plan, cells, signals, end)

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 class BiologyPlan:
     """The biology of a scene, resolved.
 
-    - ``seed``, ``dimensions``, ``step``: as in the scene; ``step`` is the coupling step in s
+    - ``seed``, ``dimensions``, ``coupling_step``, s: as in the scene
     - ``birth_volume``, ``division_volume``, float, µm³
     - ``law``: by which volumes grow; None without growth
     - ``phased``: whether the cycle has phases
@@ -67,6 +67,7 @@ class BiologyPlan:
       a type
     - ``elsewhere``: signals that neither fields nor cells carry: time, and numbers of neighbours
     - ``networks``: inside cells; None without any
+    - ``receptors``: adhesion by receptors and ligands of cells; None without any
     - ``inflow``: viscosity of the medium that flows in to what is lost, kPa·s; 0: it is at rest
     - ``surface_tension``: of the tissue, nN/µm; 0: none
     - ``types``: by name; empty where all cells are alike
@@ -78,14 +79,14 @@ class BiologyPlan:
     - ``doubling``, (types or 1,) s, or None: time in which volumes double, for all cells of a type;
       None where it follows from the phases that each cell draws
     - ``target_scale``, (5,) or None: of the volumes that growth goes to, for each phase
-    - ``solubility``, field -> mM/kPa: of oxygen, in the fields that say what irradiation does
+    - ``solubility``, field -> mM/kPa: of oxygen, in the fields that modify irradiation
     - ``period``, (3,) µm, or None: lengths after which space repeats, see Domain.period
     - ``cells`` to ``motions``: parts of the scene that hold nothing but numbers and names
     """
 
     seed: int
     dimensions: int
-    step: float
+    coupling_step: float
     birth_volume: float
     division_volume: float
     law: GrowthLaw | None
@@ -124,7 +125,7 @@ class BiologyPlan:
     domain: Domain | None
     growth: Growth | None
     death: Death | None
-    adhesion: Adhesion | None
+    receptors: Adhesion | None
     motility: Motility | None
     chemotaxis: Mapping[str, Chemotaxis]
     pull: Pull | None
@@ -140,7 +141,6 @@ _OF_SCENE: Final = (
     "contact",
     "domain",
     "death",
-    "adhesion",
     "motility",
     "chemotaxis",
     "pull",
@@ -166,7 +166,8 @@ def biology_plan(scene: Scene) -> BiologyPlan:
     ratio = [1.0 if young is None else young / cells.young for young in own]
     oxygen = [part.oxygen for part in scene.radiation.values() if part.oxygen]
     return BiologyPlan(
-        step=scene.coupling_step,
+        coupling_step=scene.coupling_step,
+        receptors=scene.adhesion,
         birth_volume=birth_volume(scene),
         division_volume=division_volume(scene),
         law=None if growth is None else growth.growth_law,

@@ -261,7 +261,7 @@ def rate_of_harm(
     """Return the necrosis rate or the damage rate of each cell, (n,) 1/s; infinite: death at once.
 
     Short forms (thresholds of fields and ATP) have one rate in common, however many of them hold.
-    None where nothing has this effect. Without ``cells`` only what fields do to all types.
+    None where nothing has this effect. Without ``cells`` only effects of fields on all types.
     """
     known = plan.responses.get(behaviour, ())
     if cells is None:

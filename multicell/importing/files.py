@@ -49,7 +49,7 @@ def shortened(text: str, most: int) -> str:
 @final
 @dataclass(eq=False, slots=True)
 class Element:
-    """An element: its tag, what it holds, and where it stands."""
+    """An element: its tag, content and place."""
 
     tag: str
     attributes: dict[str, str]

@@ -72,12 +72,12 @@ def from_options(options: IntegratorOptions) -> Integrator:
 
 def instantiate(info: MethodInfo, options: IntegratorOptions) -> Integrator:
     """Return the integrator of a method with a scene's options."""
-    step = {"step": options.step} if info.control == "step" else {}
+    fixed = {"step": options.step} if info.control == "step" else {}
     return build_method(
         info,
         rtol=options.rtol,
         atol=info.atol if options.atol is None else options.atol,
         max_steps=options.max_steps,
         max_displacement=options.max_displacement,
-        **step,
+        **fixed,
     )

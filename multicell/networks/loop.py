@@ -1,7 +1,7 @@
 """The loop over cells: each cell takes its own steps through a coupling step.
 
-Every cell remembers its step, whether it goes explicitly, and what it has seen of its stiffness. So
-what a cell does depends on itself alone: any number of threads gives the same bits.
+Every cell remembers its step, whether it goes explicitly, and estimates of its stiffness. So the
+course of a cell depends on itself alone: any number of threads gives the same bits.
 """
 
 from __future__ import annotations

@@ -101,7 +101,7 @@ class FieldSystem:
     - ``respond``: absent: cells do not respond
     - ``fluxes``: absent: no network takes up or secretes anything
 
-    - ``time``: of what the cells do now, s: rates of networks may hang on it
+    - ``time``: of the present exchange of cells, s: rates of networks may depend on it
 
     - ``fields``, name -> NutrientField
     - ``groups``, list of FieldGroup: the same in the groups that are solved for together, in the
@@ -260,8 +260,8 @@ class FieldSystem:
         networks exchange with fields, what it exchanges goes linearly from one end to the other.
         ``before`` are the cells at the beginning.
 
-        - ``follow``: fields of which, where they are transient, ``courses`` are to keep what cells
-          find on the way
+        - ``follow``: fields of which, where they are transient, ``courses`` keep the concentrations
+          at cells on the way
         - ``until``, (n,) or a number: part of the step after which cells exchange nothing with
           transient fields
         - ``ahead``: :meth:`shares` at the end as an earlier try has them; absent: those of the
@@ -399,7 +399,7 @@ class FieldSystem:
             self._sample(name, group, cells, demand[name][0])
 
     def find_again(self, cells: Cells) -> None:
-        """Note what cells find of the fields as they are, and take up, after some have divided."""
+        """Note concentrations and uptake of cells after some have divided."""
         self.concentrations = {
             name: field.sample(cells.position, cells.radius) for name, field in self.fields.items()
         }
@@ -422,7 +422,7 @@ class FieldSystem:
             for name in group.names:
                 field = self.fields[name]
                 if field.parameters.regime == "steady":
-                    continue  # it has been solved with what the field holds and its medium
+                    continue  # it has been solved with the content of the field and its medium
                 capacity, _ = self.demand(name, after)
                 excess = np.maximum(self.demand(name, cells)[0] - capacity, 0.0)
                 amount = late * field.uptake(cells.position, excess)
@@ -548,8 +548,8 @@ class FieldSystem:
     ) -> Demand:
         """Return each cell's largest uptake and its secretion, (n,) amol/s.
 
-        - ``concentrations``, ``taken``, name -> (n,), mM and amol/s: what each cell finds of all
-          fields, and takes up of those that others are made from; absent: what they do now
+        - ``concentrations``, ``taken``, name -> (n,), mM and amol/s: concentrations of all fields
+          at each cell, and uptake of those that others are made from; absent: the present ones
         """
         concentrations = self.concentrations if concentrations is None else concentrations
         taken = self._uptake if taken is None else taken
@@ -595,7 +595,7 @@ class FieldSystem:
                 factor = factor * law.factor(concentrations[other])
         given = None if self._fluxes is None else self._fluxes(name, cells, self.time)[0]
         if given is not None:
-            # the largest uptake whose part at what the cell finds is the given one
+            # the largest uptake whose part at the cell's concentration is the given one
             own = np.maximum(given, 0.0) / np.maximum(self._share(name, cells), _LEAST_SHARE)
             return np.where(np.isnan(given), capacity * factor, own)
         return np.asarray(capacity * factor)
@@ -612,7 +612,7 @@ class FieldSystem:
         return one * (level / (level + nutrient.half_saturation))
 
     def _sample(self, name: str, group: FieldGroup, cells: Cells, capacity: FloatArray) -> None:
-        """Keep what the cells find and take up of a field that its group has just solved for."""
+        """Keep concentrations and uptake of cells of a field that its group has just solved for."""
         field = self.fields[name]
         self.concentrations[name] = field.read(group.position, group.radius)
         if name in self._sources:

@@ -58,7 +58,7 @@ _SMOOTHER = tuple(
 
 
 _Axis = tuple[Float32Array, Float32Array, NDArray[np.int64], Float32Array]
-"""What a level has along an axis, see :func:`_axis`."""
+"""Coefficients of a level along an axis, see :func:`_axis`."""
 
 
 @final
@@ -215,14 +215,14 @@ class MultigridSolver:
         for _ in range(MAX_CG):
             level.share(kernels.direct, p, z, np.float32(beta))
             level.share(kernels.apply_planes, p, level.rate, level.along, level.weights, q, parts)
-            step = rho / float(parts.sum())
-            level.share(kernels.update_residual_planes, np.float32(step), x, p, r, q, parts)
+            alpha = rho / float(parts.sum())
+            level.share(kernels.update_residual_planes, np.float32(alpha), x, p, r, q, parts)
             self.cg += 1
             if not float(parts.sum()) > max(goal, FINEST) ** 2:
                 break
             z = self._hierarchy.cycle()
             following, change = self._products(z)
-            beta, rho = -step * change / rho, following
+            beta, rho = -alpha * change / rho, following
         self.newton += 1
         x *= np.float32(size / self.operator.stiffness)
         return x.reshape(self.operator.shape)
@@ -276,8 +276,8 @@ def _axis(n: int, low: bool, high: bool) -> tuple[_Axis, ...]:
 def _along(width: FloatArray, low: bool, high: bool) -> Float32Array:
     """Return the coefficients of minus the second difference along an axis, (4, n).
 
-    Of the lower and of the upper neighbour, and what the node has by its lower and by its upper
-    face. ``width`` (n,) are the nodes' widths.
+    Of the lower and of the upper neighbour, and of the node by its lower and by its upper face.
+    ``width`` (n,) are the nodes' widths.
     """
     table = np.zeros((4, len(width)))
     distance = 0.5 * (width[1:] + width[:-1])

@@ -300,10 +300,10 @@ def balance_negative(
             gain, loss = source[i, j, k], linear
             for face in range(6):
                 w = _weight(weights, face, i, j, k)
-                step = 2 * (face % 2) - 1
-                a = i + step if face // 2 == 0 else i
-                b = j + step if face // 2 == 1 else j
-                d = k + step if face // 2 == 2 else k
+                side = 2 * (face % 2) - 1
+                a = i + side if face // 2 == 0 else i
+                b = j + side if face // 2 == 1 else j
+                d = k + side if face // 2 == 2 else k
                 if ghost[face] == REPEATS:
                     a, b, d = a % nx, b % ny, d % nz
                 if 0 <= a < nx and 0 <= b < ny and 0 <= d < nz:
@@ -354,7 +354,7 @@ def begin(
 
 @_jit
 def update_residual(
-    step: float,
+    alpha: float,
     x: FloatArray,
     p: FloatArray,
     r: FloatArray,
@@ -362,11 +362,11 @@ def update_residual(
     scale: FloatArray,
     y: Float32Array,
 ) -> float:
-    """Do ``x += step p``, ``r -= step q``, ``y = scale r``, all flat; return ``r . r``."""
+    """Do ``x += alpha p``, ``r -= alpha q``, ``y = scale r``, all flat; return ``r . r``."""
     product = 0.0
     for n in range(x.size):
-        x[n] += step * p[n]
-        v = r[n] - step * q[n]
+        x[n] += alpha * p[n]
+        v = r[n] - alpha * q[n]
         r[n] = v
         y[n] = scale[n] * v
         product += v * v
@@ -433,10 +433,10 @@ def flows(
                     i, j, k = a, high * (ny - 1), b
                 else:
                     i, j, k = a, b, high * (nz - 1)
-                step = const[face] + (ghost[face] - 1.0) * c[i, j, k]
-                step *= _weight(weights, face, i, j, k)
-                inward += max(step, 0.0)
-                outward += max(-step, 0.0)
+                inflow = const[face] + (ghost[face] - 1.0) * c[i, j, k]
+                inflow *= _weight(weights, face, i, j, k)
+                inward += max(inflow, 0.0)
+                outward += max(-inflow, 0.0)
     return inward, outward
 
 

@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import final
+from typing import Final, final
 
 import numpy as np
 
 from multicell.cells import SPHERE, Cells, FloatArray, Mask, State
 from multicell.population.regions import Surroundings, inhibited_region, region_radius
 from multicell.vectors import cubes, lengths, squares, weighted_mean
+
+INHIBITED: Final = 0.2  # of the cycling part at the rim: the criterion of Browning et al. (2021)
 
 
 def sizes(cells: Cells, dimensions: int) -> FloatArray:
@@ -97,7 +99,7 @@ class Extent:
     @cached_property
     def inhibited(self) -> float:
         """The :func:`inhibited_radius` of the cells, µm."""
-        return self.inhibited_below(0.2)
+        return self.inhibited_below(INHIBITED)
 
     def inhibited_below(self, threshold: float) -> float:
         """Return the :func:`inhibited_radius` of the cells by a threshold, µm."""
@@ -177,7 +179,7 @@ def uniform_radius(
     return Extent(cells, dimensions, origin).radius(mask)
 
 
-def inhibited_radius(cells: Cells, dimensions: int, threshold: float = 0.2) -> float:
+def inhibited_radius(cells: Cells, dimensions: int, threshold: float = INHIBITED) -> float:
     """Return the radius within which proliferation is inhibited, in µm; 0 if it is nowhere.
 
     Inside, the share of the cells that are alive, not quiescent, and in S, G2 or M (green with

@@ -150,7 +150,7 @@ def _start_notes(states: Mapping[str, int]) -> list[str]:
     if states.get("unfit"):
         notes.append(
             f"The states of {states['unfit']:,} cells at the start do not fit the field: resting "
-            "or dead cells lower what others find, and no states were found that fit."
+            "or dead cells lower concentrations of others, and no states were found that fit."
         )
     return notes
 
@@ -212,7 +212,8 @@ def read_summary(contents: Contents) -> dict[str, Any] | None:
         same = summary["scene_digest"] == scene_mark(contents.scene)
     else:  # an older version has written it
         same = all(
-            (summary.get("time", end.time), summary.get("steps", end.step)) == (end.time, end.step)
+            (summary.get("time", end.time), summary.get("steps", end.step_index))
+            == (end.time, end.step_index)
             for end in contents.places[-1:]
         )
     if not same:

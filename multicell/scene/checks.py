@@ -197,7 +197,7 @@ def _check_names(scene: Scene, path: str, nutrient: Nutrient) -> None:
 
 
 def _check_beginning(scene: Scene, name: str, path: str, nutrient: Nutrient) -> None:
-    """Check that what a field starts from and what is released have an effect."""
+    """Check that initial values and releases of a field have an effect."""
     given = [f"release.{key}" for key in nutrient.release]
     given += ["initial_formula"] if nutrient.initial_formula else []
     if given and regime(scene, name) == "steady":

@@ -124,12 +124,12 @@ _WORTH_TELLING = 0.75
 def finer(lengths: Sequence[float], spacing: float) -> str:
     """Return in words how much finer than asked for cubes are that fill a box; else nothing."""
     counts = filling(lengths, spacing)
-    step = lengths[0] / counts[0] if counts else spacing
-    if step >= _WORTH_TELLING * spacing:
+    edge = lengths[0] / counts[0] if counts else spacing
+    if edge >= _WORTH_TELLING * spacing:
         return ""
     size = " x ".join(f"{length:g}" for length in lengths)
     return (
-        f"{step:.4g} um instead of {spacing:.4g} um, {(spacing / step) ** len(lengths):.3g} times "
+        f"{edge:.4g} um instead of {spacing:.4g} um, {(spacing / edge) ** len(lengths):.3g} times "
         f"as many nodes: nothing between fits into all sides of {size} um a whole number of times"
     )
 

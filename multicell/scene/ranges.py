@@ -49,16 +49,16 @@ def check_sizes(scene: Scene) -> None:
 
 def _check_steps(scene: Scene) -> None:
     """Raise ``SceneError`` for steps so short or so long that no run could use them."""
-    step = scene.coupling_step
-    if scene.duration / step > MAX_STEPS:
-        problem = f"is {step:g} s, must be at least {scene.duration / MAX_STEPS:g} s"
+    coupling_step = scene.coupling_step
+    if scene.duration / coupling_step > MAX_STEPS:
+        problem = f"is {coupling_step:g} s, must be at least {scene.duration / MAX_STEPS:g} s"
         hint = f"The run would take more than {MAX_STEPS:g} coupling steps."
         raise SceneError("coupling_step", problem, hint)
     fixed = scene.integrator
     info = METHODS.get(fixed.method)
-    steps = min(step, scene.duration) / fixed.step
+    steps = min(coupling_step, scene.duration) / fixed.step
     if info is not None and info.control == "step" and steps > MAX_FIXED_STEPS:
-        problem = f"is {fixed.step:g} s, must be at least {step / MAX_FIXED_STEPS:g} s"
+        problem = f"is {fixed.step:g} s, must be at least {coupling_step / MAX_FIXED_STEPS:g} s"
         hint = f"A coupling step would take more than {MAX_FIXED_STEPS:g} steps."
         raise SceneError("integrator.step", problem, hint)
     if scene.growth is None:
@@ -66,13 +66,13 @@ def _check_steps(scene: Scene) -> None:
     # a cell divides once in a coupling step at most: a shorter cycle would only make it larger
     quickest = min((kind.cycle_scale for kind in scene.types.values()), default=1.0)
     cycle = quickest * scene.growth.mean_cycle
-    if min(step, scene.duration) > cycle:
+    if min(coupling_step, scene.duration) > cycle:
         mean = scene.growth.mean_cycle
         if mean < 1000.0:
-            problem = f"is {mean:g} s, shorter than a coupling step of {step:g} s"
+            problem = f"is {mean:g} s, shorter than a coupling step of {coupling_step:g} s"
             hint = f"A number without a unit is in seconds: write '{mean:g} h' for hours."
             raise SceneError("growth.cycle_time", problem, hint)
-        problem = f"is {step:g} s, must be at most a cycle of the cells, {cycle:g} s"
+        problem = f"is {coupling_step:g} s, must be at most a cycle of the cells, {cycle:g} s"
         hint = "Cells divide between coupling steps; take about a twentieth of the cycle."
         raise SceneError("coupling_step", problem, hint)
 

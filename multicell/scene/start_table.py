@@ -1,6 +1,6 @@
 """The table of cells that a run starts with: read once, known by the digest of its bytes.
 
-What a file holds is read here, whatever the scene: columns, their units, numbers and names. What of
+The content of a file is read here for any scene: columns, their units, numbers and names. What of
 it fits to a scene is checked by :mod:`multicell.scene.start_checks`.
 """
 
@@ -191,7 +191,7 @@ class StartTable:
     time: float | None = quantity("s", default=None, doc="in place of frame: that nearest to it")
 
     def check(self) -> None:
-        """Read the file, unless it is known what it must hold."""
+        """Read the file, unless its content is known."""
         given = None if self.sha256 is None else _KNOWN.get(self.sha256)
         if given is None:
             if self.sha256 is not None and self.rows is not None:

@@ -18,11 +18,13 @@ from multicell.results import summary
 from multicell.results.lineage import Lineage
 from multicell.results.observable import TissueState
 from multicell.scene.ranges import check_memory
+from multicell.scene.scene import Scene
 from multicell.simulation.assembly import apart_at_start
 from multicell.simulation.coupling_step import next_state
 from multicell.simulation.first_state import begun, resumed
 from multicell.simulation.machinery import Machinery
 from multicell.simulation.timeline import PhaseTimer
+from multicell.units import shown
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
@@ -36,7 +38,6 @@ if TYPE_CHECKING:
     from multicell.nutrient.fields import FieldSystem
     from multicell.nutrient.reactions.own import OwnReaction
     from multicell.results.frame import Field, Frame
-    from multicell.scene.scene import Scene
     from multicell.simulation.mover import Mover
     from multicell.simulation.run_state import RunState
     from multicell.simulation.timeline import Timeline
@@ -84,6 +85,9 @@ class Simulation:
         integrator: Integrator | None = None,
         reactions: Mapping[str, OwnReaction] | None = None,
     ) -> None:
+        if not isinstance(scene, Scene):
+            problem = f"the scene is {shown(scene)}, must be a Scene"
+            raise SceneError("", problem, "multicell.load_scene makes one of a name or a path.")
         if cells is not None and not isinstance(cells, Cells):
             from multicell.scene.start_table import with_cells
 
@@ -248,7 +252,7 @@ class Simulation:
     @property
     def step_index(self) -> int:
         """Number of coupling steps done."""
-        return self._state.timeline.step
+        return self._state.timeline.step_index
 
     @property
     def steps(self) -> int:

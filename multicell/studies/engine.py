@@ -466,7 +466,7 @@ def _forward(work: Task, place: Path, found: RunStatus, wanted: Callable[[], boo
 
 
 def _empty(work: Task, place: Path) -> None:
-    """Remove what a run has left that was killed before its first frame; set aside damage."""
+    """Remove the folder of a run that was killed before its first frame; set aside damage."""
     if not place.is_dir():
         return
     with lock_folder(place):

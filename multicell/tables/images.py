@@ -245,9 +245,9 @@ def _relaxed(place: NDArray[np.float64], radius: NDArray[np.float64]) -> NDArray
             break
         first, second = first[near], second[near]
         push = 0.5 * ((least - distance)[near] / distance[near])[:, None] * apart[near]
-        step = np.zeros_like(place)
-        np.subtract.at(step, first, push)
-        np.add.at(step, second, push)
+        shift = np.zeros_like(place)
+        np.subtract.at(shift, first, push)
+        np.add.at(shift, second, push)
         counts = np.bincount(np.concatenate([first, second]), minlength=len(place))
-        place += step / np.maximum(counts, 1)[:, None]
+        place += shift / np.maximum(counts, 1)[:, None]
     return place

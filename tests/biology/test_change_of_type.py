@@ -1,4 +1,4 @@
-"""What a cell has that becomes another type: as one that was born so, and back again."""
+"""Columns of a cell that becomes another type: as one that was born so, and back again."""
 
 import math
 from dataclasses import fields

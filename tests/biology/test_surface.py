@@ -144,7 +144,7 @@ def test_a_core_that_is_lost_closes(rested):
 
 @pytest.mark.slow
 def test_a_growing_rim_and_a_core_that_is_lost_balance():
-    """What grows less what is lost is the change of the ball, which stays packed and round."""
+    """Growth less loss is the change of the ball, which stays packed and round."""
     scene = mc.Scene.from_dict(
         {
             "duration": "14 d", "coupling_step": "1 h",

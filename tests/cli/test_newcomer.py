@@ -1,4 +1,4 @@
-"""What those who use the package for the first time meet: notebooks, wrong times, wrong folders."""
+"""First use of the package: notebooks, wrong times, wrong folders."""
 
 import matplotlib.pyplot
 import pytest

@@ -1,4 +1,4 @@
-"""What the documentation's own extensions of Sphinx find."""
+"""Results of the documentation's own extensions of Sphinx."""
 
 import importlib
 import re

@@ -1,4 +1,4 @@
-"""What must hold of every scene, and processes that try it with many.
+"""Checks that every scene must pass, and processes that try it with many.
 
 A case is a dict of a scene. :func:`load_case` and :func:`run_case` return what became of it, or
 raise :class:`Fault`. :func:`campaign` draws cases in processes of their own and returns a
@@ -212,7 +212,7 @@ def _leads(path, node, part):
 
 
 def explained(scene, **options):
-    """Return what ``explain`` says, which must be plain and finite, or end by name."""
+    """Return the text of ``explain``, which must be plain and finite, or end by name."""
     from multicell.report.explain.scene import explain
 
     with warnings.catch_warnings():
@@ -411,7 +411,7 @@ class Tally:
 
 
 def judged(kind, entries):
-    """Return what became of a case, or a text that begins with ``FAULT``."""
+    """Return the outcome of a case, or a text that begins with ``FAULT``."""
     try:
         return (load_case if kind == "load" else run_case)(entries)
     except Fault as fault:

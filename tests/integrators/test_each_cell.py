@@ -35,8 +35,8 @@ def accepted_steps(monkeypatch):
         def __init__(self, solver):
             self.solver = solver
 
-        def step(self):
-            taken = self.solver.step()
+        def take_step(self):
+            taken = self.solver.take_step()
             self.error = taken.error
             return taken
 

@@ -1,4 +1,5 @@
-"""Where there is nothing to solve, and where double precision ends: every method, every law."""
+"""Limits of methods, where there is nothing to solve and where double precision ends: every method,
+every law."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""What is known of each method."""
+"""Facts of each method."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""What a small shift of all positions does to the end of a coupling step, in runs."""
+"""Effect of a small shift of all positions on the end of a coupling step, in runs."""
 
 import math
 from dataclasses import replace

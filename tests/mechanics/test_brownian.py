@@ -60,7 +60,7 @@ def test_a_path_does_not_depend_on_where_it_is_cut(times):
 def test_shorter_steps_visit_the_places_of_longer_ones():
     ids = np.arange(5)
     coarse, fine = paths(150.0), paths(70.0, step=300.0)
-    assert (coarse.step, fine.step) == (150.0, 37.5)
+    assert (coarse.dt, fine.dt) == (150.0, 37.5)
     places = [
         np.cumsum(moves(given, given.times(600.0, 1200.0), ids), axis=0) for given in (coarse, fine)
     ]
@@ -76,11 +76,11 @@ def test_a_path_belongs_to_its_cell():
 
 def test_internal_steps_lie_on_one_grid():
     given = paths(200.0)
-    assert given.step == 150.0
+    assert given.dt == 150.0
     assert given.times(600.0, 1200.0) == [600.0, 750.0, 900.0, 1050.0, 1200.0]
     assert given.times(700.0, 1000.0) == [700.0, 750.0, 900.0, 1000.0]
     assert given.times(760.0, 770.0) == [760.0, 770.0]
-    assert paths(1e9).step == SPAN
+    assert paths(1e9).dt == SPAN
 
 
 def test_paths_of_a_plane_stay_in_it():
@@ -178,7 +178,7 @@ def test_variance_in_a_harmonic_spring(part):
         run.step()
         if k >= 2:
             found.append((placed(run.cells)[:copies] - centre)[:, :2])
-    h = run._run.mover._paths.step
+    h = run._run.mover._paths.dt
     assert h == pytest.approx(step)
     exact = diffusion / kappa * np.tanh(kappa * h / 2) / (kappa * h / 2)
     is_variance(np.array(found), exact)

@@ -48,7 +48,7 @@ FIELDS = {"steady": RISING, "transient": PERFUSED}
 
 
 def concentration(kind, t):
-    """Return what the cells find at a time in h, mM: by hand."""
+    """Return the concentration at cells at a time in h, mM: by hand."""
     begin, end = 0.713, 3.377
     if kind == "steady":
         return np.interp(t, [begin, 2.05, end], [0.0, 1.0, 0.0])

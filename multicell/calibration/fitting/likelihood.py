@@ -14,14 +14,14 @@ point.
 S has R - 1 degrees of freedom, often fewer than there are data. It serves twice. The data are
 weighted by the inverse of C with S shrunk (Ledoit & Wolf 2004, J. Multivariate Anal. 88, 365, of
 its correlations; at least by a tenth), which decides how well parameters are determined and not
-whether intervals are right. What these weights make of the scatter along the few directions in
-which the parameters move the data has a covariance V of that many dimensions. It is estimated
-without shrinkage, and each run with weights in which it had no part: weights seek out what happens
-to scatter little in the runs that they come from, which would make V too small. The likelihood
-along these directions is Hotelling's, a multivariate Student's with ν - k + 1 degrees of freedom
-for k directions; ν is R - 1, or more where errors of measurement, which are known, make
-most of V (Satterthwaite). The other directions, in which all parameters are alike except for
-curvature, count as normal.
+whether intervals are right. Weighted so, the scatter along the few directions in which the
+parameters move the data has a covariance V of that many dimensions. It is estimated without
+shrinkage, and each run with weights in which it had no part: weights seek out what happens to
+scatter little in the runs that they come from, which would make V too small. The likelihood along
+these directions is Hotelling's, a multivariate Student's with ν - k + 1 degrees of freedom for k
+directions; ν is R - 1, or more where errors of measurement, which are known, make most of V
+(Satterthwaite). The other directions, in which all parameters are alike except for curvature, count
+as normal.
 
 Runs at draws from the intervals check the emulator where it is used (:func:`fresh`): where it is
 further off at a datum than scatter and its own error explain, that error is raised to what was

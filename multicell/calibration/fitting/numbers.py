@@ -28,6 +28,7 @@ from multicell.calibration.fitting.verdict import (
     quantiles,
     undetermined,
 )
+from multicell.calibration.shared.confidence import BAND, LEVEL, TAILS
 from multicell.calibration.shared.wording import value_in_words
 from multicell.errors import FitFailed
 from multicell.host.extras import needs
@@ -58,7 +59,7 @@ class Best:
 
     - ``values``: by key of the scene, in base units
     - ``words``: by key: value and unit for people, ``"15.2 h"``
-    - ``readings``, (n,): what fresh runs have in place of each datum (their mean), base units
+    - ``readings``, (n,): mean of fresh runs in place of each datum, base units
     - ``residuals``, (n,): in standard deviations; positive where the runs have more
     - ``chi_squared``: the sum of their squares
     - ``per_datum``: χ² over the number of data
@@ -150,7 +151,7 @@ class FitNumbers:
         frame.attrs = {"units": self.problem.parameter_units}
         return frame
 
-    def intervals(self, level: float = 0.95) -> dict[str, Interval]:
+    def intervals(self, level: float = LEVEL) -> dict[str, Interval]:
         """Return a central credible interval of each parameter by its name, base units."""
         return intervals(self.problem.ranges, self.some_sample(), level)
 
@@ -234,7 +235,7 @@ class FitNumbers:
         if self.sample is None:
             return found
         for k, free in enumerate(self.problem.ranges):
-            low, high = np.quantile(self.sample[:, k], [0.025, 0.975])
+            low, high = np.quantile(self.sample[:, k], TAILS)
             if not low - EDGE <= self.fresh.shares[k] <= high + EDGE:
                 best = value_in_words(self.best.values[free.key], free.unit)
                 found.append(f"The best value of {free.name}, {best}, is outside its interval.")
@@ -247,7 +248,7 @@ class FitNumbers:
             return []
         return undetermined(self.problem.ranges, self.sample, self.problem.prior)
 
-    def predicted(self, levels: Sequence[float] = (0.025, 0.5, 0.975)) -> Array:
+    def predicted(self, levels: Sequence[float] = BAND) -> Array:
         """Return quantiles of what a tissue shows in place of each datum: (levels, n), base units.
 
         Over the posterior and over the scatter of runs; errors of measurement are not in it.

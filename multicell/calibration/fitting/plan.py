@@ -75,7 +75,7 @@ class FitPlan:
     """A fit that was checked and not begun.
 
     - ``points``: sets of parameters that the search will try
-    - ``extra``: how many more it may try where what it finds contradicts itself
+    - ``extra``: how many more it may try where results contradict each other
     """
 
     problem: FitProblem

@@ -24,12 +24,16 @@ import numpy as np
 
 from multicell.calibration.fitting.emulator import ENOUGH_DRAWS, best_of, draws
 from multicell.calibration.fitting.verdict import quantiles
+from multicell.calibration.shared.confidence import BAND
 from multicell.measured.noise import Array
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from multicell.calibration.fitting.numbers import FitNumbers
+
+_TAIL_PART, _TAIL_ROOTS = 0.2, 3.0
+"""The tail of S draws that is smoothed: min(S / 5, 3 √S) (Vehtari et al. 2024, JMLR 25, 72)."""
 
 
 @final
@@ -128,7 +132,7 @@ def _smoothed(ratios: Array) -> Array:
     from scipy.stats import genpareto
 
     sizes = np.exp(ratios - ratios.max())
-    count = math.ceil(min(0.2 * len(sizes), 3.0 * math.sqrt(len(sizes))))
+    count = math.ceil(min(_TAIL_PART * len(sizes), _TAIL_ROOTS * math.sqrt(len(sizes))))
     order = np.argsort(sizes, kind="stable")
     largest, below = order[-count:], sizes[order[-count - 1]]
     beyond = sizes[largest] - below
@@ -174,7 +178,7 @@ def predictive_check(fit: FitNumbers) -> PredictiveCheck:
     problem = fit.problem
     again = np.maximum(found.replicate(), problem.lowest)
     above = (again > 0.0).mean(axis=0) + 0.5 * (again == 0.0).mean(axis=0)
-    rows = quantiles(problem.observed + again * problem.sigma, (0.025, 0.5, 0.975))
+    rows = quantiles(problem.observed + again * problem.sigma, BAND)
     low, median, high = map(problem.unscale, rows)
     about = pandas.DataFrame(fit.rows())[["row", "condition", "observable", "unit", "time"]]
     table = about.assign(

@@ -11,7 +11,7 @@ or a normal or log-normal distribution with units::
 logarithm. Behind ``in`` stand the ends of the range that is searched, to which the distribution is
 cut; without it these are the quantiles that leave a thousandth out. Searches, emulators and
 samplers work in places in the ranges (0 to 1; of a log-normal distribution on a logarithmic scale);
-here is what density they have there.
+here is their density there.
 """
 
 from __future__ import annotations

@@ -20,6 +20,7 @@ import numpy as np
 
 from multicell.calibration.fitting.constraints import NO_CONSTRAINTS, Constraints, values_at
 from multicell.calibration.fitting.emulator import Loss
+from multicell.calibration.shared.confidence import LEVEL
 from multicell.errors import FitFailed, SceneError
 from multicell.measured.noise import Array
 from multicell.schema import near_miss
@@ -58,7 +59,7 @@ class LikelihoodProfile:
     _shares: Array
     _free: Range
 
-    def interval(self, level: float = 0.95) -> tuple[float, float]:
+    def interval(self, level: float = LEVEL) -> tuple[float, float]:
         """Return the ends of the confidence interval, base units.
 
         An end that the searched range does not hold is infinite: the data do not bound the
@@ -82,8 +83,8 @@ class LikelihoodProfile:
         limit = float(stats.chi2.ppf(level, 1))
         inside = np.flatnonzero(self.loss <= limit)
         ends: list[tuple[float, Array] | None] = []
-        for place, step in ((int(inside[0]), -1), (int(inside[-1]), 1)):
-            beyond = place + step
+        for place, way in ((int(inside[0]), -1), (int(inside[-1]), 1)):
+            beyond = place + way
             if not 0 <= beyond < len(self.loss):
                 ends.append(None)
                 continue
@@ -95,7 +96,7 @@ class LikelihoodProfile:
             ends.append((float(values_at(self._free, np.array([share]))[0]), others))
         return ends
 
-    def identified(self, level: float = 0.95) -> bool:
+    def identified(self, level: float = LEVEL) -> bool:
         """Return whether the interval has both ends within the range."""
         return bool(np.isfinite(self.interval(level)).all())
 

@@ -173,7 +173,7 @@ def bracket(stable: Trial, guess: float, ceiling: float) -> float:
 def search_up(stable: Trial, tolerances: Sequence[float], tightest: float) -> None:
     """Try tolerances from tight to loose, then bisect below the first one that is not stable.
 
-    What is stable does not always hang together here: all of them are tried. ``tightest`` is tried
+    Stable settings need not be neighbours: all of them are tried. ``tightest`` is tried
     where the first of them fails.
     """
     ladder = tolerances if stable(tolerances[0]) else (tightest, *tolerances)

@@ -42,7 +42,7 @@ class CycleModel:
     """A model of the cycle."""
 
     name: str
-    usual: tuple[tuple[float, bool], ...]  # its phases with what PhysiCell has for them
+    usual: tuple[tuple[float, bool], ...]  # its phases with PhysiCell's entries for them
     homes: tuple[str, ...]  # the phase of ours in which each of them is
     doubles_before: bool = True  # whether volume doubles before division, not after it
 

@@ -156,7 +156,7 @@ def _motility(scene: Scene) -> list[Number]:
     own = []
     if (paths := brownian_paths(scene)) is not None:
         meaning = "for which a force of diffusion is constant"
-        own = [Number("internal step of diffusion", paths.step, "s", meaning)]
+        own = [Number("internal step of diffusion", paths.dt, "s", meaning)]
     if not law.pushes:
         return own
     speed = law.force / drag(scene, typical_radius(scene))

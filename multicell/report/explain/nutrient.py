@@ -103,9 +103,9 @@ def _geometry(scene: Scene, nutrient: Nutrient, spacing: float) -> str:
     if scene.box is not None:
         lengths = box.sides(scene.box)
         counts = box.filling(lengths, spacing) or ()
-        step = lengths[0] / counts[0] if counts else spacing
+        edge = lengths[0] / counts[0] if counts else spacing
         kind = "squares" if scene.dimensions == 2 else "cubes"
-        words = f"{' x '.join(map(str, counts))} {kind} of {step:g} um that stand still"
+        words = f"{' x '.join(map(str, counts))} {kind} of {edge:g} um that stand still"
         finer = box.finer(lengths, spacing)
         return f"{words} on the domain" + (f" ({finer})" if finer else "")
     if scene.dimensions == 2:

@@ -356,10 +356,10 @@ def necrotic_share(
         return None
     width = _SMOOTHING * float(cells.radius.mean())
     low, high = place[:, :2].min(axis=0) - 2.0 * width, place[:, :2].max(axis=0) + 2.0 * width
-    step = max(width / _FINE, float((high - low).max()) / _MAX_POINTS)
-    edges = [np.arange(a, b + step, step) for a, b in zip(low, high, strict=True)]
+    pixel = max(width / _FINE, float((high - low).max()) / _MAX_POINTS)
+    edges = [np.arange(a, b + pixel, pixel) for a, b in zip(low, high, strict=True)]
     weight = np.exp(-0.5 * ((place[:, 2] - level) / width) ** 2)
-    smooth: Any = partial(gaussian_filter, sigma=width / step, mode="constant", truncate=8.0)
+    smooth: Any = partial(gaussian_filter, sigma=width / pixel, mode="constant", truncate=8.0)
     flat = place[:, 0], place[:, 1], edges
     whole, part = (smooth(np.histogram2d(*flat, weights=w)[0]) for w in (weight, weight * dead))
     known = whole > _MIN_DENSITY * whole.max()
