@@ -68,7 +68,7 @@ class LikelihoodProfile:
         low, high = self._ends(level)
         return -np.inf if low is None else low[0], np.inf if high is None else high[0]
 
-    def ends(self, level: float = 0.95) -> list[tuple[float, Array]]:
+    def ends(self, level: float = LEVEL) -> list[tuple[float, Array]]:
         """Return the ends of the interval that the range holds.
 
         Each is a value in base units, and the shares of the ranges of all parameters there, (d,).

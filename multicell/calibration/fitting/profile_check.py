@@ -13,6 +13,7 @@ from multicell.calibration.fitting.likelihood import MAX_REPEATS, MIN_REPEATS, L
 from multicell.calibration.fitting.pool import Pool, open_pool
 from multicell.calibration.fitting.profile import profile_of
 from multicell.calibration.fitting.search import SEARCH, Search
+from multicell.calibration.shared.confidence import LEVEL
 from multicell.errors import FitFailed
 from multicell.measured.noise import Array
 from multicell.results.folder import lock_folder
@@ -53,7 +54,7 @@ def checked_profile(
     fit: FitNumbers,
     name: str,
     *,
-    level: float = 0.95,
+    level: float = LEVEL,
     repeats: int = CHECK_RUNS,
     cores: int | None = None,
     progress: Callable[[int, int], None] | None = None,

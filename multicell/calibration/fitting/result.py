@@ -51,7 +51,7 @@ class Fit(FitNumbers):
         self,
         name: str,
         *,
-        level: float = 0.95,
+        level: float = LEVEL,
         repeats: int = 6,
         cores: int | None = None,
         progress: Callable[[int, int], None] | None = None,
