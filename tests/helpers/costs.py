@@ -1,9 +1,9 @@
-"""What each test costs, in time of the processor: a plugin of pytest, and its table by file.
+"""Costs of tests in time of the processor: a plugin of pytest, and its table by file.
 
 ``PYTHONPATH=tests/helpers pytest -n auto -p costs --costs costs.jsonl`` writes a line for each
-test, with what it compiled and what processes used that it waited for, and
+test, with the functions that it compiled and the time of processes that it waited for, and
 ``python tests/helpers/costs.py costs.jsonl`` prints the files and tests that cost most. An empty
-``NUMBA_CACHE_DIR`` counts all that a first run compiles, and what several workers compile.
+``NUMBA_CACHE_DIR`` counts all that a first run compiles, and all that several workers compile.
 """
 
 import collections

@@ -322,7 +322,7 @@ def of_table(source: Any, columns: str | None = None, where: str | None = None) 
     named = Counter(name for name, _ in known)
     for (name, _), title in zip(known, table.titles, strict=True):
         if named[name] > 1:
-            raise DataError(f"{table.name}, '{title}'", "names what another column has, too")
+            raise DataError(f"{table.name}, '{title}'", "has the name of another column, too")
         if name not in allowed:
             raise unknown_title(title, dict.fromkeys(allowed[:-3], ""), table.name)
     for name in (*drugs, "response"):

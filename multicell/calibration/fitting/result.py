@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from multicell.calibration.fitting.numbers import FitNumbers
+from multicell.calibration.shared.confidence import LEVEL
 from multicell.host.extras import needs
 
 if TYPE_CHECKING:
