@@ -197,7 +197,7 @@ TABLES = {
     "unknown title": ({"dosis": DOSES, "response": DOSES}, "Did you mean 'dose'"),
     "no response": ({"dose": DOSES}, "no column 'response'"),
     "two of a name": (
-        {"dose": DOSES, "Dose": DOSES, "response": DOSES}, "names what another column has, too"
+        {"dose": DOSES, "Dose": DOSES, "response": DOSES}, "has the name of another column, too"
     ),
     "no control": ({"dose": DOSES[1:], "response": DOSES[1:]}, "dose 0, the control"),
     "too few": ({"dose": DOSES[:4], "response": DOSES[:4]}, "3 doses above 0 in 'dose'"),

@@ -47,7 +47,7 @@ for line in sys.stdin:
 
 @pytest.fixture(scope="module")
 def cost():
-    """Return what gives the memory in bytes and the CPU time in s of reading a file."""
+    """Return a function for memory in bytes and CPU time in s of reading a file."""
     process = subprocess.Popen(
         [sys.executable, "-c", READ], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
