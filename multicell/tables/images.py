@@ -128,6 +128,11 @@ def _pixels(
 
     try:
         with tifffile.TiffFile(io.BytesIO(content)) as file:
+            places: set[int] = set()
+            for page in file.pages:  # tifffile follows a chain that returns to itself without end
+                if page.offset in places:
+                    raise DataError(name, "has pages that lead back to one before: it is damaged")
+                places.add(page.offset)
             series = file.series[0]
             if series.nbytes > _LARGEST:
                 raise DataError(name, f"has {series.nbytes:,} bytes of pixels, which is too much")

@@ -221,3 +221,15 @@ def test_damaged_images_are_read_or_refused_in_words(which):
         except (DataError, SceneError):
             refused += 1
     assert refused > 10
+
+
+def test_pages_that_lead_back_to_one_before_are_refused():
+    """Of two pages the second names the first as the next one."""
+    content = bytearray(saved(np.stack([flat(), flat()]), photometric="minisblack"))
+    with tifffile.TiffFile(io.BytesIO(content)) as file:
+        first, second = file.pages
+        size = file.tiff.offsetsize
+        place = second.offset + file.tiff.tagnosize + len(second.tags) * file.tiff.tagsize
+        content[place : place + size] = first.offset.to_bytes(size, "little")
+    with pytest.raises(DataError, match="pages that lead back"):
+        cells_of_image(bytes(content), "l.tif", parse_map("pixel=1 um"), None)
