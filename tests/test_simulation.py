@@ -153,7 +153,7 @@ def test_public_names():
         "ImplicitFieldSolver", "Schedule", "SteadyFieldSolver", "Substance",
         "field_problem", "Study", "study", "load_study", "Sensitivity", "sensitivity", "Fit", "fit",
         "DoseResponse", "dose_response", "growth_law", "Observable",
-        "observable", "load_observable", "RunTable", "coarsen", "compare_coarse", "compare_fits",
+        "observable", "load_observable", "RunTable", "coarsen", "compare_coarse", "compare_fits", "read_cells",
         "gradient", "load_fit",
     }  # fmt: skip
     assert all(hasattr(mc, name) for name in mc.__all__)
