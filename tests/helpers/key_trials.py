@@ -383,7 +383,10 @@ TEXTS = {
 }
 """Other values of keys that name something."""
 
-FAR = {"radiation.*.phase_factor": [{"G1": 9.0}]}
+FAR = {
+    "types.*.necrosis_of": [{"oxygen": 1.045}],
+    "radiation.*.phase_factor": [{"G1": 9.0}],
+}
 """Values far from those of the scenes, for keys by which chances of few cells change."""
 
 
