@@ -88,7 +88,7 @@ def volumes_after(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float
     volume = cells.volume
     law = plan.law
     if law is not None and not plan.phased:
-        birth, grow = plan.birth_volume, growing(plan, cells)
+        birth, grow = plan.birth_volumes(cells.kind), growing(plan, cells)
         if law.constant:
             volume += np.where(grow, dt * (factor * birth / cells.cycle_time), 0.0)
         else:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multicell.biology.responding import (
     acting,
@@ -48,7 +49,8 @@ class BiologyPlan:
     """The biology of a scene, resolved.
 
     - ``seed``, ``dimensions``, ``coupling_step``, s: as in the scene
-    - ``birth_volume``, ``division_volume``, float, µm³
+    - ``birth_volume``, ``division_volume``, float, µm³: of types whose size has no scale
+    - ``volume_scale``, (types,) or None: of each type on both; None where all are 1
     - ``law``: by which volumes grow; None without growth
     - ``phased``: whether the cycle has phases
     - ``grows``, (5,) bool: for each :class:`multicell.cells.Phase` whether cells grow in it
@@ -89,6 +91,7 @@ class BiologyPlan:
     coupling_step: float
     birth_volume: float
     division_volume: float
+    volume_scale: FloatArray | None
     law: GrowthLaw | None
     phased: bool
     grows: Mask
@@ -131,6 +134,16 @@ class BiologyPlan:
     pull: Pull | None
     motions: Motions
 
+    def birth_volumes(self, kind: NDArray[np.integer]) -> float | FloatArray:
+        """Return the volumes in µm³ with which cells of types are born, (n,) or one for all."""
+        scale = self.volume_scale
+        return self.birth_volume if scale is None else self.birth_volume * scale[kind]
+
+    def division_volumes(self, kind: NDArray[np.integer]) -> float | FloatArray:
+        """Return the volumes in µm³ at which cells of types divide, (n,) or one for all."""
+        scale = self.volume_scale
+        return self.division_volume if scale is None else self.division_volume * scale[kind]
+
 
 _OF_SCENE: Final = (
     "seed",
@@ -170,6 +183,7 @@ def biology_plan(scene: Scene) -> BiologyPlan:
         receptors=scene.adhesion,
         birth_volume=birth_volume(scene),
         division_volume=division_volume(scene),
+        volume_scale=_volume_scale(kinds),
         law=None if growth is None else growth.growth_law,
         phased=bool(phases),
         grows=np.array([p.name in phases and phases[p.name].grows for p in Phase]),
@@ -217,6 +231,12 @@ def founders(scene: Scene) -> int:
         return initial.count
     given = initial.cells.given
     return int(given.columns["id"].max()) + 1 if "id" in given.columns else len(given)
+
+
+def _volume_scale(kinds: list[CellType]) -> FloatArray | None:
+    """Return the scale of each type on volumes, (types,); None where all are 1."""
+    scales = np.array([kind.division_radius_scale for kind in kinds])
+    return None if (scales == 1.0).all() else scales**3
 
 
 def _diffusion(scene: Scene) -> FloatArray | None:

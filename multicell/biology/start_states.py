@@ -178,7 +178,7 @@ def _rest_for_long(plan: BiologyPlan, cells: Cells) -> Cells:
         rested.phase[:] = Phase.G0
         rested.progress[:] = rested.phase_length[:] = 0.0
         rested.age = time_before_phase(plan, rested)[:, 0]
-        volume = plan.birth_volume * volume_in_phase(plan, rested)
+        volume = plan.birth_volumes(rested.kind) * volume_in_phase(plan, rested)
         rested.radius = np.cbrt(volume / SPHERE)
     return rested
 

@@ -142,7 +142,8 @@ def _since_due(
         return np.clip(1.0 - over, 0.0, 1.0)
     first, last = (exposure[rows].volume_at(np.full(len(rows), end)) for end in (0.0, 1.0))
     grown = np.where(last > first, last - first, 1.0)
-    return np.clip((plan.division_volume - first) / grown, 0.0, 1.0)
+    due = plan.division_volumes(cells.kind[rows])
+    return np.clip((due - first) / grown, 0.0, 1.0)
 
 
 def die(
@@ -382,7 +383,7 @@ def remove_lysed(plan: BiologyPlan, cells: Cells) -> tuple[Cells, int]:
     dead = cells.dead
     if not np.count_nonzero(dead):
         return cells, 0
-    smallest = plan.death.removal_fraction * plan.birth_volume
+    smallest = plan.death.removal_fraction * plan.birth_volumes(cells.kind)
     gone = dead & (cells.volume < smallest)
     removed = int(gone.sum())
     return (cells.take(~gone), removed) if removed else (cells, 0)

@@ -53,6 +53,7 @@ from multicell.measured.observables import at_the_end, in_history, suggest
 from multicell.measured.table import read_measurements
 from multicell.results.observable import represented
 from multicell.scene.scene import Scene
+from multicell.scene.sizes import division_radius
 from multicell.schema import chosen, leaves
 from multicell.tables.columns import Table
 
@@ -314,7 +315,7 @@ class _Rows:
                     "is 0, of which a relative standard deviation says nothing",
                     f"Add a column '{column.name} sd' with its unit.",
                 )
-            sigma = self._scenes[condition].cells.division_radius / size
+            sigma = division_radius(self._scenes[condition]) / size
         elif relative is None:
             assert given is not None
             sigma = given

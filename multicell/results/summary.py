@@ -15,7 +15,7 @@ from multicell.results.folder import versions
 from multicell.results.measures import scene_observables
 from multicell.results.observable import TissueState, represented
 from multicell.results.quantities import units_of
-from multicell.scene.sizes import birth_volume
+from multicell.scene.sizes import birth_volumes
 
 if TYPE_CHECKING:
     from multicell.cells import Cells
@@ -162,7 +162,7 @@ _GIANT = 1.1
 
 def _giant_notes(scene: Scene, cells: Cells) -> list[str]:
     """Return a remark on living cells that are larger than those that divide."""
-    ratio = cells.volume[~cells.dead] / (2.0 * birth_volume(scene))
+    ratio = (cells.volume / (2.0 * birth_volumes(scene, cells.kind)))[~cells.dead]
     giants = int((ratio > _GIANT).sum())
     if scene.growth is None or not giants:
         return []
@@ -183,7 +183,8 @@ def _splitting(scene: Scene, cells: Cells) -> dict[str, float]:
     volume, living = cells.volume, ~cells.dead
     scales = scene.growth.target_scales
     scale = 1.0 if scales is None else scales[cells.phase]
-    rate = scale * scene.growth.growth_law.rate(volume / scale, birth_volume(scene))
+    birth = birth_volumes(scene, cells.kind)
+    rate = scale * scene.growth.growth_law.rate(volume / scale, birth)
     rate /= cells.cycle_time
     excess = np.where(living, -rate * cells.lag, 0.0)
     total, error = float(volume.sum()), float(excess.sum())

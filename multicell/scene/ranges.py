@@ -15,6 +15,7 @@ from multicell.contact.law import effective_modulus, effective_radius
 from multicell.errors import SceneError
 from multicell.host.memory import physical_memory
 from multicell.integrators.registry import METHODS
+from multicell.scene.sizes import division_radii
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -109,7 +110,7 @@ def _check_overlap(scene: Scene) -> None:
     if energies:
         law = law.with_surface_energy(max(energies))
     modulus, bonds = effective_modulus(young, poisson, young, poisson), _most_bonds(scene)
-    for radius in (HALF * scene.cells.division_radius, scene.cells.division_radius):
+    for radius in (part * own for own in division_radii(scene) for part in (HALF, 1.0)):
         pair, deep = effective_radius(radius, radius), 1.99 * radius
         force = float(law.evaluate(deep, modulus, pair, rest=2.0 * radius, touching=True)[0])
         if force > math.pi * float(pair) * bonds * deep:

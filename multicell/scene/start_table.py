@@ -434,11 +434,11 @@ def _same_places(place: FloatArray) -> NDArray[np.int64]:
     return np.stack([earliest[later], later], axis=1)
 
 
-def near_pairs(given: Given, part: float, usual_radius: float) -> NDArray[np.int64]:
+def near_pairs(given: Given, part: float, usual_radius: float | FloatArray) -> NDArray[np.int64]:
     """Return the pairs (m, 2) of cells nearer than a part of the sum of their radii.
 
-    ``usual_radius``, µm, is that of cells in a table without radii. They are counted before they
-    are listed; ``DataError`` for more than a run could work with.
+    ``usual_radius``, µm, one or (n,), is that of cells in a table without radii. They are counted
+    before they are listed; ``DataError`` for more than a run could work with.
     """
     from scipy.spatial import KDTree
 

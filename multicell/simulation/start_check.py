@@ -8,6 +8,7 @@ import numpy as np
 
 from multicell.errors import NutrientFailed, SceneError
 from multicell.scene.scales import MAX_NODES, largest_spacing
+from multicell.scene.sizes import division_radii
 from multicell.scene.start_table import positions
 
 if TYPE_CHECKING:
@@ -92,7 +93,7 @@ def _in_doubt(scene: Scene) -> bool:
         reach = 2.0 * float(np.abs(places).max())
     else:  # what a packing reaches at most, and six standard deviations of a shift on both sides
         across = n if start.shape == "row" else 2.0 * (n ** (1.0 / axes) + 2.0)
-        reach = 2.0 * scene.cells.division_radius * (across * start.spacing + 12.0 * start.jitter)
+        reach = 2.0 * division_radii(scene)[1] * (across * start.spacing + 12.0 * start.jitter)
     widest = {name: reach + 2.0 * max(f.margin, f.layer or 0.0) for name, f in open_fields.items()}
     nodes = (width / largest_spacing(scene, name) for name, width in widest.items())
     return any(along**axes > 0.1 * MAX_NODES for along in nodes)

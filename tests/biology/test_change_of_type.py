@@ -51,6 +51,9 @@ KEYS = {
     "secretion_scale": 3.0,
     "uptake_of": {"oxygen": 0.1},
     "secretion_of": {"signal": 0.1},
+    "quiescence_of": {"oxygen": 1e3},
+    "necrosis_of": {"oxygen": 1e3},
+    "division_radius_scale": 1.5,
     "motility_scale": 4.0,
     "diffusion_scale": 3.0,
     "chemotaxis_of": {"signal": -0.5},
@@ -61,6 +64,13 @@ KEYS = {
 MOVED = {
     "diffusion_scale": {"motility": {"force": 0.2, "persistence": 600.0, "diffusion": 1e-3}},
     "chemotaxis_of": {"chemotaxis": {"signal": {"force": 0.2, "half": 1e-6}}},
+    **{
+        f"{key}_of": {
+            "nutrients": {"oxygen": {"boundary": 0.1, "spacing": 10.0, key: 1e-3}},
+            "cells": {"reaction_time": 60.0},
+        }
+        for key in ("quiescence", "necrosis")
+    },
 }
 
 

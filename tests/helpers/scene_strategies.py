@@ -37,6 +37,8 @@ NAMES = {
     "uptake_on": FIELDS[:1],
     "secretion_from": FIELDS[:1],
     "uptake_of": FIELDS,
+    "quiescence_of": FIELDS,
+    "necrosis_of": FIELDS,
     "chemotaxis_of": FIELDS,
     "release": ("shot",),
     "yields": FIELDS,

@@ -54,11 +54,13 @@ class UserGrowthLaw(OwnLaw, GrowthLaw):
             problem = f"make the rate of growth {rate[poor[0]]:g} {at}, must be above zero up to 2"
             raise SceneError("", problem, "A cell never reaches the division volume otherwise.")
 
-    def rate(self, volume: FloatArray, birth: float = 1.0) -> FloatArray:
+    def rate(self, volume: FloatArray, birth: float | FloatArray = 1.0) -> FloatArray:
         """Return g(V) T."""
         return np.asarray(birth * self._cycle() * self._shape(np.asarray(volume) / birth))
 
-    def volume_after(self, volume: FloatArray, share: FloatArray, birth: float = 1.0) -> FloatArray:
+    def volume_after(
+        self, volume: FloatArray, share: FloatArray, birth: float | FloatArray = 1.0
+    ) -> FloatArray:
         """Return the volumes after a share of a cycle without limits, (n,)."""
         begin, given = np.broadcast_arrays(np.asarray(volume, dtype=float) / birth, share)
         after, dt = begin, given * (self._cycle() / _SUBSTEPS)

@@ -13,7 +13,7 @@ from multicell.scene.dependences import solving_order
 from multicell.scene.field_solvers import expected_step
 from multicell.scene.nutrient import OWN_SOLVERS, Nutrient
 from multicell.scene.reactions import Reaction, group_of
-from multicell.scene.responses import relevant_fields
+from multicell.scene.responses import relevant_fields, type_thresholds
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import typical_radius
 
@@ -187,7 +187,8 @@ def nutrient_notes(scene: Scene) -> list[str]:
     """Return remarks on settings of fields that are allowed but may not be meant."""
     notes = []
     for name, nutrient in scene.nutrients.items():
-        if nutrient.quiescence is not None and nutrient.highest < nutrient.quiescence:
+        rests = type_thresholds(scene, name, "quiescence")
+        if nutrient.highest < min(rests.values(), default=0.0):
             notes.append(f"The medium has too little {name} for growth: all cells are quiescent.")
         if name not in relevant_fields(scene):
             hint = "give thresholds such as quiescence, or a response to it"

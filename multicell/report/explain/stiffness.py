@@ -28,7 +28,8 @@ def stiffness_of(scene: Scene) -> tuple[float, float]:
     """Return the estimates of λΔt for tissue at rest and just after a division; 0 without one."""
     radius, dt = typical_radius(scene), scene.coupling_step
     resting = max(
-        pair.stiffness(pair.equilibrium_overlap()) for _, pair in type_pairs(scene, radius)
+        pair.stiffness(pair.equilibrium_overlap()) / (pair.rest / (2.0 * radius))
+        for _, pair in type_pairs(scene, radius)
     )
     rest = _LATTICE[scene.dimensions] * float(resting) / drag(scene, radius) * dt
     if scene.growth is None:
