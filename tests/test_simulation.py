@@ -153,8 +153,8 @@ def test_public_names():
         "ImplicitFieldSolver", "Schedule", "SteadyFieldSolver", "Substance",
         "field_problem", "Study", "study", "load_study", "Sensitivity", "sensitivity", "Fit", "fit",
         "DoseResponse", "dose_response", "growth_law", "Observable",
-        "observable", "load_observable", "RunTable", "coarsen", "compare_coarse", "compare_fits", "read_cells",
-        "gradient", "load_fit",
+        "observable", "load_observable", "RunTable", "coarsen", "compare_coarse", "compare_fits",
+        "gradient", "load_fit", "read_cells",
     }  # fmt: skip
     assert all(hasattr(mc, name) for name in mc.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):

@@ -122,7 +122,7 @@ def test_a_cell_that_becomes_smaller_keeps_its_volume_and_divides_until_it_has_i
 
 
 def test_sizes_of_cells_in_phases_come_to_those_of_their_new_type():
-    """What is missing to the size at birth is halved in each generation, with linear growth."""
+    """The size missing at birth is halved in each generation, with linear growth."""
     to_b = {"behaviour": "change to b", "law": "constant", "largest": 1.0, "cells": "a"}
     types = {"a": {"fraction": 1}, "b": {"fraction": 0, "division_radius_scale": 1.5}}
     described = scene(types, "phases", responses=[to_b], duration="51 h",
