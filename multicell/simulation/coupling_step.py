@@ -245,15 +245,14 @@ def _exposed(
     if plan.networks is not None:
         followed = followed | plan.networks.inputs
     marches, until = fields.marches, cast(Any, 1.0)
-    again = marches and (plan.acting or jumped)
     attempt = run, state, people, signals, timeline, fields.steady if jumps else (), followed, lap
     exposure, decided, correction, met = _attempt(*attempt, until)
-    missed = -np.count_nonzero(decided.died)
-    if again and missed:
+    died = np.count_nonzero(decided.died)
+    if died and marches and (plan.acting or jumped):
         until = np.where(decided.died, 1.0 - decided.cells.age / (end - begin), 1.0)
         fields.state = state.fields
         exposure, decided, correction, met = _attempt(*attempt, until)
-    missed += np.count_nonzero(decided.died)
+    only_then = np.count_nonzero(decided.died) - died  # deaths that the first solution misses
     cells, dead, released = decided
     lineage, exposures = people.lineage, state.exposures
     if np.count_nonzero(dead):
@@ -265,7 +264,7 @@ def _exposed(
     if plan.acting:
         exposures = remainders(plan, exposure, exposures, jumped=jumped)
         # one more pass would let about as many more die as the second one has
-        exposures["error"] -= missed
+        exposures["error"] -= only_then
     if correction is not None:
         exposures = {**exposures, "networks": correction}
     cells, rows = mutate_as_found(plan, cells, exposure, people.next_id)
