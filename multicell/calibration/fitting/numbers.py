@@ -33,7 +33,7 @@ from multicell.calibration.shared.wording import value_in_words
 from multicell.errors import FitFailed
 from multicell.host.extras import needs
 from multicell.measured.noise import Array
-from multicell.report.wording import time_unit
+from multicell.report.wording import TimeUnit, time_unit
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -213,8 +213,10 @@ class FitNumbers:
             return ""
         best, data = self.best, self.problem.measured.data
         worst = np.argsort(-np.abs(best.residuals))[:3]
+        unit = time_unit(max((datum.time or 0.0 for datum in data), default=0.0))
         said = ", ".join(
-            f"{_title(data[k])} ({data[k].place}) by {best.residuals[k]:+.3g} sd" for k in worst
+            f"{_title(data[k], unit)} ({data[k].place}) by {best.residuals[k]:+.3g} sd"
+            for k in worst
         )
         return (
             f"The scene does not fit the data: χ² is {best.chi_squared:.4g} for {len(data)} data, "
@@ -424,10 +426,10 @@ def _emulator_notes(checks: Checks, data: Sequence[Datum]) -> list[str]:
     return notes
 
 
-def _title(datum: Datum) -> str:
-    """Return the title of the readings of a datum."""
+def _title(datum: Datum, unit: TimeUnit) -> str:
+    """Return the title of the readings of a datum, with its time in a unit that suits all."""
     deep = "" if datum.depth is None else f" {datum.depth:g} um deep"
     name = f"{datum.observable}{deep}"
     if datum.time is None:
         return f"{name} at the end"
-    return f"{name} at {time_unit(datum.time).text(datum.time)}"
+    return f"{name} at {unit.text(datum.time)}"
