@@ -156,7 +156,8 @@ def test_code_on_disk_for_a_type_that_is_gone_is_compiled_anew(tmp_path):
         os.utime(program, (1e9, 1e9))
         done = subprocess.run(
             [sys.executable, "-c", "import kernels"], cwd=tmp_path, capture_output=True, text=True,
-            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}, check=False,
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)},
+            check=False,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr[-1500:]
         hits.append(int(done.stdout))
