@@ -12,7 +12,7 @@ def row(test, own, others=0.0, *, slow=False, compiled=()):
         "compiling": 0.5 * own,
         "garbage": 0.25 * own,
         "compiled": list(compiled),
-        "took": {name: 0.5 * own for name in compiled[:1]},
+        "took": dict.fromkeys(compiled[:1], 0.5 * own),
     }
 
 

@@ -275,6 +275,7 @@ def test_saturating_uptake_in_a_ball_is_that_of_a_boundary_value_problem():
 # --- tissue ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("geometry", ["box", "radial"])
 def test_oxygen_at_the_cells_of_a_tissue_converges_and_the_reported_error_holds(geometry):
     found = orders.oxygen(
@@ -290,6 +291,7 @@ def test_oxygen_at_the_cells_of_a_tissue_converges_and_the_reported_error_holds(
     assert (found.reported < 4.0 * found.largest).all()
 
 
+@pytest.mark.slow
 def test_a_tissue_in_a_medium_that_diffuses_faster_converges_to_one_value():
     """Gaps between cells are tissue however fine the grid: cubes end where shells do."""
     found = orders.medium(count=400, spacings=(9.5, 6.4, 4.2, 2.8))
