@@ -133,7 +133,12 @@ SHORTER = {
         "sample(10": "sample(3",
     },
     "network-in-every-cell": {'invasion.toml")': 'invasion.toml").with_changes(duration="5 h")'},
-    "own-cell-line": {'coupling_step = "20 min"': 'coupling_step = "1 h"'},
+    "own-cell-line": {
+        'coupling_step = "20 min"': 'coupling_step = "2 h"',
+        "--budget 60": "--budget 38",
+        "budget=60": "budget=38",
+        "sample(10": "sample(3",
+    },
     "paraview-pandas-scanpy": {
         'duration="2.5 d"': 'duration="10 h"',
         'output.every="12 h"': 'output.every="2 h"',
