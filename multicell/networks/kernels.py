@@ -10,17 +10,17 @@ import math
 from typing import NamedTuple, final
 
 import numpy as np
-from numba import types
 
 from multicell.cells import FloatArray, IntArray
-from multicell.compiling import INNER, UNCOUNTED, called_at, typed
+from multicell.compiling import INNER, UNCOUNTED, called_with_rows, typed
+from multicell.networks.code import CALLED_ROWS
 from multicell.networks.methods import Explicit, LinearlyImplicit
 
 _inner = typed(**UNCOUNTED)
-call_rates = called_at(5, lambda *_: types.float64)
-call_trigger = called_at(4, lambda *_: types.float64)
-call_assign = called_at(6, lambda *_: types.float64)
-call_initial = called_at(3, lambda *_: types.float64)
+call_rates = called_with_rows(5, CALLED_ROWS)
+call_trigger = called_with_rows(4, CALLED_ROWS)
+call_assign = called_with_rows(6, CALLED_ROWS)
+call_initial = called_with_rows(3, CALLED_ROWS)
 
 _ROUNDING = 1.5e-8  # square root of the rounding of doubles: part of a state for a difference
 
