@@ -54,10 +54,10 @@ def _part(code, t, a, b, c, d, e):
     name = code.instance_class.__name__
     function = _jitable(name)
     _, what, _, *lengths = name.split("_")
-    i, j, k, l, m = *map(int, lengths), *[0] * (5 - len(lengths))
+    i, j, k, m, n = *map(int, lengths), *[0] * (CALLED_ROWS - len(lengths))
 
     def write(code, t, a, b, c, d, e):
-        function(t, row(a, i), row(b, j), row(c, k), row(d, l))
+        function(t, row(a, i), row(b, j), row(c, k), row(d, m))
         return t
 
     def initial(code, t, a, b, c, d, e):
@@ -68,7 +68,7 @@ def _part(code, t, a, b, c, d, e):
         return float(function(t, row(a, i), row(b, j), row(c, k)))
 
     def assign(code, t, a, b, c, d, e):
-        function(t, row(a, i), row(b, j), row(c, k), row(d, l), row(e, m))
+        function(t, row(a, i), row(b, j), row(c, k), row(d, m), row(e, n))
         return t
 
     return {"write": write, "initial": initial, "trigger": trigger, "assign": assign}[what]

