@@ -124,10 +124,10 @@ def _intrinsic_of(call: Any, count: int) -> Any:
     return intrinsic(call)
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def floats_at(context: Any, place: Any) -> tuple[Any, Any]:
     """Return a pointer to floats of which the first is at a place in memory."""
-    pointer = types.CPointer(types.float64)
+    pointer = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         return builder.inttoptr(values[0], context.get_value_type(pointer))

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
-from numba import carray, njit
+from numba import carray, njit  # type: ignore[attr-defined]
 from numba.extending import overload, register_jitable
 
 from multicell.cells import IntArray
@@ -54,7 +54,7 @@ def _part(code, t, a, b, c, d, e):
     name = code.instance_class.__name__
     function = _jitable(name)
     _, what, _, *lengths = name.split("_")
-    i, j, k, m, n = *map(int, lengths), *[0] * (CALLED_ROWS - len(lengths))
+    i, j, k, m, n = [*map(int, lengths), 0, 0][:CALLED_ROWS]
 
     def write(code, t, a, b, c, d, e):
         function(t, row(a, i), row(b, j), row(c, k), row(d, m))

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from network_models import network, rows
 
-from multicell.networks.loop import CELL_EVALUATIONS, CELL_STEPS
+from multicell.networks.loop import CELL_STEPS
 from multicell.networks.network import Event
 from multicell.networks.solver import NetworkFailed, NetworkSolver
 
