@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from cheap_fits import check, exact, fitted, linear
 from scipy import stats
 
-from multicell.calibration.fitting.unknown_scatter import check_scatter, with_scatter
+from multicell.calibration.fitting.unknown_scatter import check_scatter, drawn_factors, with_scatter
 from multicell.errors import DataError
 from multicell.measured.noise import LEAST_FACTOR, Noise, likeliest
 
@@ -101,6 +102,17 @@ def test_known_scatter_of_runs_is_taken_off():
         method="bounded", options={"xatol": 1e-8},
     ).x  # fmt: skip
     assert found == pytest.approx(best, rel=1e-5)
+
+
+def test_factors_beside_scatter_of_the_same_size_are_not_too_small():
+    """With equal chances of all logarithms 78 % of the factors were below these 90 % quantiles."""
+    rng, problem = np.random.default_rng(1), SimpleNamespace(observables={"x": np.arange(30)})
+    below, repeats = 0, 200
+    for _ in range(repeats):
+        residuals = rng.normal(size=30) * math.sqrt(2.0)  # half of it is known, of runs
+        draws = drawn_factors(problem, np.tile(residuals, (300, 1)), np.ones((300, 30)))["x"]
+        below += np.quantile(draws, 0.9) >= 1.0
+    assert abs(below / repeats - 0.9) < 3.0 * math.sqrt(0.09 / repeats)
 
 
 def test_each_observable_has_its_own_factor():
