@@ -44,7 +44,7 @@ def check_sizes(scene: Scene) -> None:
     """Raise ``SceneError`` for numbers that nothing can be computed with together."""
     _check_steps(scene)
     _check_crowd(scene)
-    _check_overlap(scene)
+    check_overlap(scene)
     _check_diffusion(scene)
 
 
@@ -95,8 +95,17 @@ def _check_crowd(scene: Scene) -> None:
         raise SceneError("initial.spacing", problem, "At 1 neighbours touch.")
 
 
-def _check_overlap(scene: Scene) -> None:
+def largest_energy(scene: Scene) -> float:
+    """Return the largest surface energy of a contact of a scene without responses, nN/µm."""
+    energies = [e for k in scene.types.values() for e in (k.surface_energy or {}).values()]
+    return max(energies, default=scene.contact.surface_energy)
+
+
+def check_overlap(scene: Scene, factor: float = 1.0, key: str = "contact.surface_energy") -> None:
     """Raise ``SceneError`` for cells so sticky that they would be drawn into one another.
+
+    - ``factor``: on surface energies
+    - ``key``: that has made it so large
 
     Two cells must repel each other before their centres meet, at birth and before division, under
     the largest surface energy and the most bonds that occur, with the smallest mean modulus.
@@ -104,11 +113,9 @@ def _check_overlap(scene: Scene) -> None:
     law = scene.contact
     if not law.acts:
         return
-    energies = [e for k in scene.types.values() for e in (k.surface_energy or {}).values()]
     young = min((k.young or scene.cells.young for k in scene.types.values()), default=0.0)
     young, poisson = young or scene.cells.young, scene.cells.poisson
-    if energies:
-        law = law.with_surface_energy(max(energies))
+    law = law.with_surface_energy(factor * largest_energy(scene))
     modulus, bonds = effective_modulus(young, poisson, young, poisson), _most_bonds(scene)
     for radius in (part * own for own in division_radii(scene) for part in (HALF, 1.0)):
         pair, deep = effective_radius(radius, radius), 1.99 * radius
@@ -119,7 +126,7 @@ def _check_overlap(scene: Scene) -> None:
             problem = f"gives a force of {force:.3g} nN to cells that overlap by {deep:.3g} um"
             hint = "A force is positive where cells repel each other: change the sign of the law."
             raise SceneError("contact.law", problem, hint)
-        path = "adhesion.strength" if force > 0.0 else "contact.surface_energy"
+        path = "adhesion.strength" if force > 0.0 else key
         problem = f"draws cells of radius {radius:.3g} um into one another, centre upon centre"
         raise SceneError(path, problem, "Let cells stick less, or take a larger cells.young.")
 

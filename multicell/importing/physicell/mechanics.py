@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from multicell.behaviours.catalogue import SURFACE_ENERGY
 from multicell.cells import stokes_drag
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, VISCOSITY, CellDefinition, Model
@@ -142,6 +143,14 @@ def _read_adhesion(model: Model) -> None:
         if ruled is not None:
             element = i.own("mechanics/cell_cell_adhesion_strength")
             model.account.take(element, Fate.OFF, note=f"set by {ruled[1].tag}")
+    _read_stickiness(model, {i: own[i] for i in own if any(pairs[i, j] > 0.0 for j in own)})
+
+
+def _read_stickiness(model: Model, known: dict[CellDefinition, float]) -> None:
+    """Let rules change how strongly cells adhere: of two the geometric mean, as there."""
+    rules = rules_of(model, "cell-cell adhesion", known)
+    own, end = dict.fromkeys(known, 1.0), lambda rule: rule.end / known[rule.kind]
+    set_behaviour(model, SURFACE_ENERGY, 1.0, own, rules, end)
 
 
 def _read_wall(model: Model) -> None:
