@@ -14,7 +14,8 @@ from multicell.mechanics.neighbours import PairList, are_listed, listed
 
 def has_pair_values(law: PairLaw, motion: Motion, surface_energies: FloatArray | None) -> bool:
     """Return whether the law keeps values for each pair, which are made with each list."""
-    return law.remembers or (surface_energies is not None and motion.kind is not None)
+    typed = surface_energies is not None and motion.kind is not None
+    return law.remembers or typed or motion.sticky is not None
 
 
 def pair_data(
@@ -26,16 +27,20 @@ def pair_data(
 ) -> PairData:
     """Return a list with what the law keeps for each pair, as kernels take it.
 
-    - ``surface_energies``, (k, k), optional: over the types ``motion.kind``, nN/µm
+    - ``surface_energies``, (k, k), optional: over the types ``motion.kind``, nN/µm; a pair has the
+      geometric mean of its cells' factors ``motion.sticky`` of it, Berthelot's rule
     - ``compliance``, (n,): of the cells, 1/kPa
     """
     if not has_pair_values(law, motion, surface_energies):
         return PairData(*pairs.arrays, None, None, None)
     first, second = listed(pairs)
-    adhesion = None
+    energies: FloatArray | float | None = None
     if surface_energies is not None and motion.kind is not None:
-        table = law.adhesion_of(surface_energies)
-        adhesion = np.ascontiguousarray(table[motion.kind[first], motion.kind[second]])
+        energies = surface_energies[motion.kind[first], motion.kind[second]]
+    if motion.sticky is not None:
+        own = law.surface_energy if energies is None else energies
+        energies = own * np.sqrt(motion.sticky[first] * motion.sticky[second])
+    adhesion = None if energies is None else np.ascontiguousarray(law.adhesion_of(energies))
     if not law.remembers:
         return PairData(*pairs.arrays, adhesion, None, None)
     modulus = 1.0 / (compliance[first] + compliance[second])

@@ -201,8 +201,11 @@ class Mechanics:
         if len(radius) == 0:
             return radius
         law, softest = self.law, 0.5 / float(self._rows[:, COMPLIANCE].max())
-        if self.surface_energies is not None:
-            law = law.with_surface_energy(float(self.surface_energies.max()))
+        sticky = self.motion.sticky
+        if self.surface_energies is not None or sticky is not None:
+            energies = self.surface_energies
+            most = law.surface_energy if energies is None else float(energies.max())
+            law = law.with_surface_energy(most * (1.0 if sticky is None else float(sticky.max())))
         return law.list_radius(radius, softest)
 
     def __len__(self) -> int:

@@ -45,7 +45,7 @@ def check_sizes(scene: Scene) -> None:
     """Raise ``SceneError`` for numbers that nothing can be computed with together."""
     _check_steps(scene)
     _check_crowd(scene)
-    _check_overlap(scene)
+    check_overlap(scene)
     _check_diffusion(scene)
 
 
@@ -96,8 +96,17 @@ def _check_crowd(scene: Scene) -> None:
         raise SceneError("initial.spacing", problem, "At 1 neighbours touch.")
 
 
-def _check_overlap(scene: Scene) -> None:
+def largest_energy(scene: Scene) -> float:
+    """Return the largest surface energy of a contact of a scene without responses, nN/µm."""
+    energies = [e for k in scene.types.values() for e in (k.surface_energy or {}).values()]
+    return max(energies, default=scene.contact.surface_energy)
+
+
+def check_overlap(scene: Scene, factor: float = 1.0, key: str = "contact.surface_energy") -> None:
     """Raise ``SceneError`` for cells so sticky that they would be drawn into one another.
+
+    - ``factor``: on surface energies
+    - ``key``: that has made it so large
 
     Two cells must repel each other before their centres meet, at birth and before division, under
     their surface energy and the most bonds that occur.
@@ -106,23 +115,24 @@ def _check_overlap(scene: Scene) -> None:
         return
     kinds, usual = scene.types, scene.cells.young
     softest = min((kind.young or usual for kind in kinds.values()), default=usual)
-    energies = [e for kind in kinds.values() for e in (kind.surface_energy or {}).values()]
-    law = scene.contact
-    worst = law.with_surface_energy(max(energies)) if energies else law
-    error = _drawn(scene, worst, softest, softest)
+    law, worst = scene.contact, factor * largest_energy(scene)
+    error = _drawn(scene, law.with_surface_energy(worst), softest, softest, key)
     pairs = {
         (energy, *sorted((kind.young or usual, kinds[other].young or usual)))
         for kind in (kinds.values() if error else ())
         for other, energy in (kind.surface_energy or {}).items()
     }
     if pairs:
-        found = (_drawn(scene, law.with_surface_energy(e), *moduli) for e, *moduli in pairs)
+        found = (
+            _drawn(scene, law.with_surface_energy(factor * energy), *moduli, key)
+            for energy, *moduli in pairs
+        )
         error = next(filter(None, found), None)
     if error is not None:
         raise error
 
 
-def _drawn(scene: Scene, law: PairLaw, young: float, other: float) -> SceneError | None:
+def _drawn(scene: Scene, law: PairLaw, young: float, other: float, key: str) -> SceneError | None:
     """Return an error for two cells that do not repel each other where their centres meet."""
     poisson = scene.cells.poisson
     modulus, bonds = effective_modulus(young, poisson, other, poisson), _most_bonds(scene)
@@ -135,7 +145,7 @@ def _drawn(scene: Scene, law: PairLaw, young: float, other: float) -> SceneError
             problem = f"gives a force of {force:.3g} nN to cells that overlap by {deep:.3g} um"
             hint = "A force is positive where cells repel each other: change the sign of the law."
             return SceneError("contact.law", problem, hint)
-        path = "adhesion.strength" if force > 0.0 else "contact.surface_energy"
+        path = "adhesion.strength" if force > 0.0 else key
         problem = f"draws cells of radius {radius:.3g} um into one another, centre upon centre"
         return SceneError(path, problem, "Let cells stick less, or take a larger cells.young.")
     return None
