@@ -12,6 +12,7 @@ from multicell.integrators.registry import METHODS
 from multicell.scene import domain as box
 from multicell.scene.dependences import solving_order
 from multicell.scene.field_solvers import check_solver
+from multicell.scene.nutrient import MAX_CONCENTRATION
 from multicell.scene.oxygen import OXYGEN, saturated
 from multicell.scene.reactions import groups
 from multicell.scene.scales import (
@@ -198,21 +199,52 @@ def _check_names(scene: Scene, path: str, nutrient: Nutrient) -> None:
 def _check_beginning(scene: Scene, name: str, path: str, nutrient: Nutrient) -> None:
     """Check that what a field starts from and what is released have an effect."""
     given = [f"release.{key}" for key in nutrient.release]
-    given += ["initial_formula"] if nutrient.initial_formula else []
+    given += [key for key in ("initial_formula", "initial_file") if getattr(nutrient, key)]
     if given and regime(scene, name) == "steady":
         hint = "Let the field be 'transient'."
         raise SceneError(f"{path}.{given[0]}", "has no effect: the field is steady", hint)
+    if nutrient.initial_file is not None:
+        try:
+            _check_initial_file(scene, name)
+        except SceneError as error:
+            whole = f"{path}.initial_file.{error.path}"
+            raise SceneError(whole, error.problem, error.hint) from None
     for key, release in nutrient.release.items():
         if release.type:
             check_names([release.type], scene.types, f"{path}.release.{key}.type", "a type")
 
 
-def _check_oxygen(path: str, nutrient: Nutrient) -> None:
-    """Check that nowhere is more oxygen than water dissolves of pure oxygen, nor needed by cells.
+def _check_initial_file(scene: Scene, name: str) -> None:
+    """Check that a file has a concentration of the field for each place of a grid."""
+    nutrient = scene.nutrients[name]
+    part = nutrient.initial_file
+    assert part is not None
+    grid = part.grid(name)
+    if part.column and grid.ends is None:
+        raise SceneError("column", "has no meaning: the file is no table", "Leave it out.")
+    if grid.values.ndim != scene.dimensions:
+        shape = " x ".join(map(str, grid.values.shape))
+        problem = f"has {shape} values, but the scene has {scene.dimensions} dimensions"
+        raise SceneError("file", problem, f"Its axes are {', '.join('xyz'[: scene.dimensions])}.")
+    most = _most_oxygen(nutrient) if name == OXYGEN else MAX_CONCENTRATION
+    largest = float(grid.values.max()) * part.scale
+    if not largest <= most:
+        problem = f"makes the file's largest value {largest:.4g} mM, must be at most {most:.4g} mM"
+        raise SceneError("scale", problem, "It is the concentration where the file has 1.")
+    part.ends(grid.ends, scene.dimensions, scene.box)
+
+
+def _most_oxygen(nutrient: Nutrient) -> float:
+    """Return how much oxygen water dissolves, mM.
 
     1 mM is allowed at any temperature: at that of the body it is what dissolves, to 0.01 %.
     """
-    most = max(saturated(nutrient.temperature), 1.0)
+    return max(saturated(nutrient.temperature), 1.0)
+
+
+def _check_oxygen(path: str, nutrient: Nutrient) -> None:
+    """Check that nowhere is more oxygen than water dissolves, nor needed by cells."""
+    most = _most_oxygen(nutrient)
     levels = {key: getattr(nutrient, key) or 0.0 for key in ("boundary", "quiescence", "necrosis")}
     levels["media"] = max((value for _, value in nutrient.media or ()), default=0.0)
     levels |= {f"sides.{face}.value": side.value or 0.0 for face, side in nutrient.sides.items()}

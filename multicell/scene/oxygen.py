@@ -55,6 +55,7 @@ def _field(path: tuple[str | int, ...]) -> str | None:
         case (
             ("nutrients", str(field), "media", int(), 1)
             | ("nutrients", str(field), "sides", _, "value")
+            | ("nutrients", str(field), "initial_file", "scale")
             | ("nutrients", _, "uptake_on", str(field), "half")
         ):
             return field
