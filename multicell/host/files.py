@@ -51,7 +51,7 @@ OTHER_FILE: Final = "is not the file that the scene was made with"
 
 
 def other_file(path: str) -> SceneError:
-    """Return the error for a file that has another digest than the scene states."""
+    """Return an error: the digest of a file is not the one that the scene states."""
     return SceneError("file", f"'{path}' {OTHER_FILE}", "Leave sha256 out to take it as it is now.")
 
 

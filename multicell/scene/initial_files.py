@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 COPIED_FIELD: Final = ".begins"
 """In the name of the copy of a field's file in the folder of a run, ``NAME.begins.npy``."""
 _MOST: Final = 1e5  # mM: more than pure water, 55,500 mM
-_MAX_BYTES: Final = 2_000_000_000
+_MAX_BYTES: Final = 2_000_000_000  # of text for as many values as the largest grid has
 _SUFFIXES: Final = (".npy", ".tif", ".tiff", ".png", ".csv")
 
 

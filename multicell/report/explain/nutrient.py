@@ -140,7 +140,7 @@ def _medium(nutrient: Nutrient) -> str:
 
 
 def _beginning(part: InitialFile, name: str) -> str:
-    """Return what a field starts from."""
+    """Return the file, shape and range of the values at the start, in words."""
     values = part.grid(name).values
     shape = " x ".join(map(str, values.shape))
     low, high = (part.scale * float(value) for value in (values.min(), values.max()))
