@@ -59,7 +59,7 @@ class InitialFile:
         object.__setattr__(self, "sha256", digest)
 
     def content(self) -> bytes:
-        """Return what the file holds; raises ``SceneError`` for one with another digest."""
+        """Return the bytes of the file; raises ``SceneError`` where their digest is another one."""
         content = _content(self.file)
         if hashlib.sha256(content).hexdigest() != self.sha256:
             raise other_file(self.file)
