@@ -32,7 +32,8 @@ def resampled(
     inside = np.ones(())
     for k, ((low, high), n) in enumerate(zip(ends, values.shape, strict=True)):
         repeats = box.repeats[k] and np.allclose((low, high), (box.origin[k], box.upper[k]))
-        edges = box.origin[k] + np.arange(box.shape[k] + 1) * box.spacing
+        nodes = np.arange(box.shape[k] + 1, dtype=np.float64)
+        edges = np.asarray(box.origin[k] + nodes * box.spacing, dtype=np.float64)
         weights = _weights(edges, low, (high - low) / n, n, repeats=bool(repeats))
         moved = np.moveaxis(values, k, 0)
         # a sparse product adds in one order, whatever the threads
@@ -64,4 +65,4 @@ def _weights(edges: FloatArray, low: float, step: float, n: int, *, repeats: boo
 def _hat_integral(t: FloatArray) -> FloatArray:
     """Return the integral up to t of a hat of height 1 between -1 and 1."""
     t = np.clip(t, -1.0, 1.0)
-    return np.where(t < 0.0, 0.5 * (1.0 + t) ** 2, 1.0 - 0.5 * (1.0 - t) ** 2)
+    return np.asarray(np.where(t < 0.0, 0.5 * (1.0 + t) ** 2, 1.0 - 0.5 * (1.0 - t) ** 2))
