@@ -12,8 +12,8 @@ from multicell.integrators.registry import METHODS
 from multicell.scene import domain as box
 from multicell.scene.dependences import solving_order
 from multicell.scene.field_solvers import check_solver
-from multicell.scene.nutrient import LEVELS
-from multicell.scene.oxygen import OXYGEN, check_dissolves
+from multicell.scene.nutrient import LEVELS, MAX_CONCENTRATION
+from multicell.scene.oxygen import OXYGEN, check_dissolves, most_dissolved
 from multicell.scene.reactions import groups
 from multicell.scene.scales import (
     MAX_NODES,
@@ -237,10 +237,16 @@ def _check_names(scene: Scene, path: str, nutrient: Nutrient) -> None:
 def _check_beginning(scene: Scene, name: str, path: str, nutrient: Nutrient) -> None:
     """Check that initial values and releases of a field have an effect."""
     given = [f"release.{key}" for key in nutrient.release]
-    given += ["initial_formula"] if nutrient.initial_formula else []
+    given += [key for key in ("initial_formula", "initial_file") if getattr(nutrient, key)]
     if given and regime(scene, name) == "steady":
         hint = "Let the field be 'transient'."
         raise SceneError(f"{path}.{given[0]}", "has no effect: the field is steady", hint)
+    if nutrient.initial_file is not None:
+        try:
+            _check_initial_file(scene, name)
+        except SceneError as error:
+            whole = f"{path}.initial_file.{error.path}"
+            raise SceneError(whole, error.problem, error.hint) from None
     for key, release in nutrient.release.items():
         if release.type:
             check_names([release.type], scene.types, f"{path}.release.{key}.type", "a type")
@@ -250,6 +256,26 @@ def _check_beginning(scene: Scene, name: str, path: str, nutrient: Nutrient) -> 
                 problem = f"is {list(release.place or ())} um, outside the domain"
                 hint = "Look at domain.x, domain.y and domain.z."
                 raise SceneError(f"{path}.release.{key}.place", problem, hint)
+
+
+def _check_initial_file(scene: Scene, name: str) -> None:
+    """Check that a file has a concentration of the field for each place of a grid."""
+    nutrient = scene.nutrients[name]
+    part = nutrient.initial_file
+    assert part is not None
+    grid = part.grid(name)
+    if part.column and grid.ends is None:
+        raise SceneError("column", "has no meaning: the file is no table", "Leave it out.")
+    if grid.values.ndim != scene.dimensions:
+        shape = " x ".join(map(str, grid.values.shape))
+        problem = f"has {shape} values, but the scene has {scene.dimensions} dimensions"
+        raise SceneError("file", problem, f"Its axes are {', '.join('xyz'[: scene.dimensions])}.")
+    most = most_dissolved(nutrient.temperature) if name == OXYGEN else MAX_CONCENTRATION
+    largest = float(grid.values.max()) * part.scale
+    if not largest <= most:
+        problem = f"makes the file's largest value {largest:.4g} mM, must be at most {most:.4g} mM"
+        raise SceneError("scale", problem, "It is the concentration where the file has 1.")
+    part.ends(grid.ends, scene.dimensions, scene.box)
 
 
 def _check_oxygen(path: str, nutrient: Nutrient) -> None:

@@ -15,6 +15,7 @@ import tempfile
 from pathlib import Path
 
 import hypothesis
+import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -87,6 +88,7 @@ TEXTS = {
     "network": (relax.name,),
     "solver": ("auto", "auto", "multicell-implicit", "multicell-march", "multicell-steady"),
     "initial_formula": ("0.05", "0.02 * exp(-(x**2 + y**2) / 400)"),
+    "column": ("", "value"),
     "after": ("age > 20 min", "pressure > 0.01 kPa", "volume > 200", "neighbours < 3"),
 }  # fmt: skip
 """Texts that name something, by their keys."""
@@ -176,6 +178,7 @@ WILD = (
 
 OF_OWN_CODE = {
     "growth.parameters", "networks.*.file", "networks.*.sha256",
+    "nutrients.*.initial_file.sha256",
     "output.observables", "output.observables.*.function",
     "output.observables.*.unit", "responses.*.parameters", "growth.phases.*.target_scale",
 }  # fmt: skip
@@ -280,6 +283,8 @@ class Drawer:
         return self.one_of(TEXTS.get(path.split(".")[-1], plain))
 
     def _file_path(self, spec, field, path):
+        if "initial_file" in path:
+            return str(written_field(self.one_of(["plane.npy", "space.npy", "space.csv"])))
         return str(written_table(self.one_of([1, 2, 3, 8])))
 
     def _flag(self, spec, field, path):
@@ -291,7 +296,9 @@ class Drawer:
     def _table(self, spec, field, path):
         if spec.shorthand and self.chance(0.2):
             short = specs(spec.table)[spec.shorthand]
-            return self.one_of(short.options or self._file_path(short, None, path))
+            if not short.options:
+                return self._file_path(short, None, path)
+            return self.one_of(short.options)
         return self.part(spec.table, f"{path}.")
 
     def _variant(self, spec, field, path):
@@ -460,6 +467,23 @@ def written_table(rows):
         lines = ["# drawn", "position_x_um,y_um,z_um,frame,time_s"]
         lines += [f"{7.0 * (k % 3 - 1)!r},{7.0 * (k // 3 - 1)!r},0,0,0" for k in range(rows)]
         file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return file
+
+
+def written_field(name):
+    """Write values on a grid that a field begins as; return their path."""
+    file = _TABLES / name
+    if not file.exists():
+        values = np.arange(24).reshape(4, 3, 2) / 500
+        if file.suffix == ".npy":
+            np.save(file, values if name.startswith("space") else values[:, :, 0])
+        else:
+            lines = [f"x,y,z,value,{','.join(FIELDS)}"]
+            for (x, y, z), value in np.ndenumerate(values):
+                lines.append(
+                    f"{20 * x - 30},{20 * y - 20},{20 * z - 10}" + f",{value}" * (1 + len(FIELDS))
+                )
+            file.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return file
 
 
