@@ -190,7 +190,8 @@ class NutrientField:
             from multicell.nutrient.resampling import resampled
 
             grid = file.grid(self.name)
-            ends = file.ends(grid.ends, p.dimensions, p.domain)
+            corners = None if p.domain is None else p.domain.corners()
+            ends = file.ends(grid.ends, p.dimensions, corners)
             return resampled(grid.values * file.scale, ends, layout.box, self.level(time))
         places = mesh(layout.box.axes())
         values = formula_values(formula, places, "initial_formula")

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from multicell.cells import FloatArray
-
-if TYPE_CHECKING:
-    from multicell.nutrient.cartesian import Box
+from multicell.nutrient.cartesian import Box
 
 
 def resampled(
@@ -59,7 +55,7 @@ def _weights(edges: FloatArray, low: float, step: float, n: int, *, repeats: boo
     first, last = (n, 1) if repeats else (1, n)
     found[:, first] += found[:, 0]
     found[:, last] += found[:, n + 1]
-    return found[:, 1:-1]
+    return np.asarray(found[:, 1:-1])
 
 
 def _hat_integral(t: FloatArray) -> FloatArray:

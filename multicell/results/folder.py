@@ -19,7 +19,7 @@ from filelock import FileLock, Timeout
 from multicell import __version__
 from multicell.errors import OutputError
 from multicell.host.interrupts import UNCUT
-from multicell.scene.initial_files import COPIED_FIELD, initial_files_copied
+from multicell.scene.initial_copies import COPIED_FIELD, initial_files_copied
 from multicell.scene.networks import COPIED_NETWORK, networks_copied
 from multicell.scene.scene import Scene
 from multicell.scene.start_table import COPIES

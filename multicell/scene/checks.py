@@ -275,7 +275,7 @@ def _check_initial_file(scene: Scene, name: str) -> None:
     if not largest <= most:
         problem = f"makes the file's largest value {largest:.4g} mM, must be at most {most:.4g} mM"
         raise SceneError("scale", problem, "It is the concentration where the file has 1.")
-    part.ends(grid.ends, scene.dimensions, scene.box)
+    part.ends(grid.ends, scene.dimensions, None if scene.box is None else scene.box.corners())
 
 
 def _check_oxygen(path: str, nutrient: Nutrient) -> None:

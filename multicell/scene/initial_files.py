@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import copy
 import hashlib
-import os
+import math
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Final, final
 
 from multicell.errors import DataError, SceneError
 from multicell.host.files import other_file
-from multicell.schema import Tables, file_path, interval, parameters, quantity, text
-from multicell.tables.grids import GridValues, grid_values
-from multicell.tables.text import read_bytes
+from multicell.schema import file_path, interval, parameters, quantity, text
 
 if TYPE_CHECKING:
-    from multicell.scene.parts import Domain
-    from multicell.scene.scene import Scene
+    from multicell.tables.grids import GridValues
 
-COPIED_FIELD: Final = ".begins"
-"""In the name of the copy of a field's file in the folder of a run, ``NAME.begins.npy``."""
+Corners = tuple[tuple[float, float, float], tuple[float, float, float]]
+"""Lower and upper corner of a box, µm, infinite along an axis without ends."""
+
 _MOST: Final = 1e5  # mM: more than pure water, 55,500 mM
 _MAX_BYTES: Final = 2_000_000_000  # of text for as many values as the largest grid has
-_SUFFIXES: Final = (".npy", ".tif", ".tiff", ".png", ".csv")
 
 
 @final
@@ -71,12 +67,12 @@ class InitialFile:
         return _grid(_Known(self, self.sha256, self.column or name))
 
     def ends(
-        self, own: tuple[tuple[float, float], ...] | None, dimensions: int, domain: Domain | None
+        self, own: tuple[tuple[float, float], ...] | None, dimensions: int, box: Corners | None
     ) -> tuple[tuple[float, float], ...]:
         """Return the lower and the upper end of the grid along each axis, µm.
 
         - ``own``: those that the file has
-        - ``domain``: box of the scene
+        - ``box``: corners of the domain
 
         Raises ``SceneError`` where nothing states them, or two things do.
         """
@@ -87,8 +83,8 @@ class InitialFile:
                 problem = "has no meaning: the file states its places"
                 raise SceneError(axis, problem, "Leave it out.")
             ends = stated if own is None else own[k]
-            if ends is None and domain is not None:
-                ends = getattr(domain, axis)
+            if ends is None and box is not None and math.isfinite(box[0][k]):
+                ends = box[0][k], box[1][k]
             if ends is None:
                 hint = f"For example {axis} = ['-100 um', '100 um'], between which its values lie."
                 raise SceneError(axis, "is missing: the scene has no domain", hint)
@@ -111,6 +107,8 @@ class _Known:
 
 @lru_cache(maxsize=8)
 def _grid(known: _Known) -> GridValues:
+    from multicell.tables.grids import grid_values
+
     part, (_, column) = known.part, known._key
     try:
         found = grid_values(part.content(), Path(part.file).name, column)
@@ -121,51 +119,10 @@ def _grid(known: _Known) -> GridValues:
 
 
 def _content(path: str) -> bytes:
+    from multicell.tables.text import read_bytes
+
     try:
         return read_bytes(Path(path), _MAX_BYTES)
     except DataError as error:
         hint = "Relative paths count from the folder of the scene file."
         raise SceneError("file", f"'{path}' {error.problem}", hint) from None
-
-
-def initial_files_copied(scene: Scene, folder: Path) -> tuple[Scene, dict[str, bytes]]:
-    """Return a scene that names copies of its fields' files in a folder, and their content.
-
-    The copies need not be there yet.
-    """
-    fields, files = dict(scene.nutrients), {}
-    for name, field in scene.nutrients.items():
-        if field.initial_file is None:
-            continue
-        suffix = Path(field.initial_file.file).suffix.lower()
-        title = f"{name}{COPIED_FIELD}{suffix if suffix in _SUFFIXES else '.dat'}"
-        try:
-            files[title] = field.initial_file.content()
-        except SceneError as error:
-            path = f"nutrients.{name}.initial_file.{error.path}"
-            raise SceneError(path, error.problem, error.hint) from None
-        part = copy.copy(field.initial_file)  # not made anew: that would read the copy
-        object.__setattr__(part, "file", os.path.abspath(folder / title))
-        fields[name] = copy.copy(field)
-        object.__setattr__(fields[name], "initial_file", part)
-    if files:
-        scene = copy.copy(scene)
-        object.__setattr__(scene, "nutrients", Tables(fields))
-    return scene, files
-
-
-def place_initial_files(entries: dict[str, Any], source: str | Path) -> dict[str, Any]:
-    """Return the entries of a scene file with the paths of its fields' files made whole."""
-    fields = entries.get("nutrients")
-    if not isinstance(fields, dict):
-        return entries
-    folder, placed = Path(os.path.expanduser(source)).parent, {}
-    for name, field in fields.items():
-        given = field.get("initial_file") if isinstance(field, dict) else None
-        file = given.get("file") if isinstance(given, dict) else given
-        placed[name] = field
-        if isinstance(file, str) and file:
-            whole = str(folder / os.path.expanduser(file))
-            part = {**given, "file": whole} if isinstance(given, dict) else whole
-            placed[name] = {**field, "initial_file": part}
-    return {**entries, "nutrients": placed}

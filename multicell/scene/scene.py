@@ -36,7 +36,7 @@ from multicell.scene.conditions import conditions
 from multicell.scene.domain import check_domain
 from multicell.scene.driven import PrescribedMotion, check_driven
 from multicell.scene.energy import Energy, check_energy
-from multicell.scene.initial_files import place_initial_files
+from multicell.scene.initial_copies import place_initial_files
 from multicell.scene.networks import CellNetwork, check_networks, place_networks
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.own_units import enter_units

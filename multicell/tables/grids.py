@@ -25,9 +25,18 @@ _MOST: Final = 256**3
 _UNEVEN: Final = 1e-3
 """Part of a spacing by which places may be off a regular grid: text has few digits."""
 _DAMAGED: Final = (
-    ArithmeticError, AttributeError, LookupError, OSError, RuntimeError, SyntaxError, TypeError,
-    ValueError, struct.error, tokenize.TokenError, zlib.error,
-)  # fmt: skip
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    OSError,
+    RuntimeError,
+    SyntaxError,
+    TypeError,
+    ValueError,
+    struct.error,
+    tokenize.TokenError,
+    zlib.error,
+)
 """What readers of arrays and images raise for damaged files."""
 
 

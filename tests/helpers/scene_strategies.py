@@ -112,7 +112,8 @@ TOGETHER = {
     "Side": ("type=derivative derivative", "value", ""),
     "Release": ("place", "type"),
     "Domain": ("shape=sphere radius stiffness", "shape=sphere radius", "x y z"),
-    "Nutrient": ("uptake", "uptake_per_volume uptake_on", "uptake_per_volume",
+    "Nutrient": ("uptake", "uptake initial_formula", "uptake initial_file",
+                 "uptake_per_volume uptake_on", "uptake_per_volume",
                  "uptake_per_volume geometry=radial layer"),
 }  # fmt: skip
 """Keys of parts that mean nothing alone, or exclude each other: one row of them is drawn."""
@@ -494,6 +495,9 @@ def plausible(draw, extreme=0.004, small=True, share=0.45):
     scene = drawer.part(Scene, "") or {"duration": 3600.0}
     # functions of this process, which no scene brings along
     scene.get("output", {}).pop("observables", None)
+    for field in scene.get("nutrients", {}).values():
+        if {"initial_file", "initial_formula"} & set(field) and drawer.chance(0.7):
+            field["regime"] = "transient"  # else what it begins as has no effect
     if small:
         _make_small(drawer, scene)
     return fitted(scene) or {"duration": 3600.0}
