@@ -1,4 +1,4 @@
-"""Values that a law keeps for each pair: surface energies between types, memory of contacts."""
+"""Values that a law keeps for each pair: its entry for the two types, memory of contacts."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from multicell.mechanics.motion import Motion
 from multicell.mechanics.neighbours import PairList, are_listed, listed
 
 
-def has_pair_values(law: PairLaw, motion: Motion, surface_energies: FloatArray | None) -> bool:
+def has_pair_values(law: PairLaw, motion: Motion, pair_table: FloatArray | None) -> bool:
     """Return whether the law keeps values for each pair, which are made with each list."""
-    return law.remembers or (surface_energies is not None and motion.kind is not None)
+    return law.remembers or (pair_table is not None and motion.kind is not None)
 
 
 def pair_data(
     pairs: PairList,
     law: PairLaw,
     motion: Motion,
-    surface_energies: FloatArray | None,
+    pair_table: FloatArray | None,
     compliance: FloatArray,
 ) -> PairData:
     """Return a list with what the law keeps for each pair, as kernels take it.
 
-    - ``surface_energies``, (k, k), optional: over the types ``motion.kind``, nN/µm
+    - ``pair_table``, (k, k), optional: over the types ``motion.kind``, of the law's entries
     - ``compliance``, (n,): of the cells, 1/kPa
     """
-    if not has_pair_values(law, motion, surface_energies):
+    if not has_pair_values(law, motion, pair_table):
         return PairData(*pairs.arrays, None, None, None)
     first, second = listed(pairs)
     adhesion = None
-    if surface_energies is not None and motion.kind is not None:
-        table = law.adhesion_of(surface_energies)
+    if pair_table is not None and motion.kind is not None:
+        table = law.adhesion_of(pair_table)
         adhesion = np.ascontiguousarray(table[motion.kind[first], motion.kind[second]])
     if not law.remembers:
         return PairData(*pairs.arrays, adhesion, None, None)

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from multicell.cells import Phase
+from multicell.contact.law import effective_modulus
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
 from multicell.scene import domain as box
@@ -64,6 +65,8 @@ def check_types(scene: Scene) -> None:
             raise SceneError(path, "needs growth.volume_doubling_time", hint)
         if kind.surface_energy is not None:
             _check_energies(scene, f"types.{name}.surface_energy", kind)
+        if kind.adhesion_with:
+            _check_adhesion(scene, name, kind.adhesion_with)
         path, known = f"types.{name}.chemotaxis_of", "a field with chemotaxis"
         check_names(kind.chemotaxis_of, scene.chemotaxis, path, known)
         for key in ("uptake_of", "secretion_of"):
@@ -174,6 +177,29 @@ def _check_energies(scene: Scene, path: str, kind: CellType) -> None:
                 "surface energies must be symmetric"
             )
             raise SceneError(f"{path}.{other}", problem)
+
+
+def _check_adhesion(scene: Scene, name: str, factors: Mapping[str, float]) -> None:
+    """Check one row of the factors of adhesion: names, symmetry, and that the law attracts."""
+    path = f"types.{name}.adhesion_with"
+    check_names(factors, scene.types, path, "a type of this scene")
+    if any(kind.surface_energy is not None for kind in scene.types.values()):
+        hint = "Multiply surface energies by the factors."
+        raise SceneError(path, "is given, and so are surface energies of types", hint)
+    for other, factor in factors.items():
+        back = (scene.types[other].adhesion_with or {}).get(name, factor)
+        if back != factor:
+            problem = f"is {factor:g}, but types.{other}.adhesion_with.{name} is {back:g}"
+            raise SceneError(f"{path}.{other}", problem, "One of the two types may state it.")
+    law, radius = scene.contact.scaled_by_pairs(), division_radius(scene)
+    if law is not None:
+        modulus = effective_modulus(*(scene.cells.young, scene.cells.poisson) * 2)
+        problem = law.problem(float(modulus), 0.5 * radius, 2.0 * radius)
+    else:
+        problem = "" if scene.contact.surface_energy > 0.0 else "attracts nowhere"
+    if problem:
+        hint = "Adhesion of pairs is a factor of the attraction up to the overlap at rest."
+        raise SceneError(path, f"has no meaning: contact.law {problem}", hint)
 
 
 def check_phases(scene: Scene, path: str, phases: Mapping[str, float] | None) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from multicell.contact.law import compliance
 from multicell.errors import SceneError, StepFailed
+from multicell.scene.pairs import largest_adhesion
 from multicell.scene.sizes import division_radii
 
 if TYPE_CHECKING:
@@ -83,13 +84,10 @@ def _interaction_range(scene: Scene) -> float:
     """Return the largest distance at which two cells of a scene may act on each other, µm."""
     swelling = 1.0 if scene.death is None else scene.death.swelling
     largest = division_radii(scene)[1] * swelling ** (1.0 / 3.0)
-    kinds, law = scene.types.values(), scene.contact
+    kinds = scene.types.values()
     young = min((kind.young or scene.cells.young for kind in kinds), default=scene.cells.young)
-    energies = [e for kind in kinds for e in (kind.surface_energy or {}).values()]
-    if energies:
-        law = law.with_surface_energy(max(energies))
     softest = 0.5 / float(compliance(young, scene.cells.poisson))
-    return 2.0 * float(law.list_radius(np.array([largest]), softest)[0])
+    return 2.0 * float(largest_adhesion(scene).list_radius(np.array([largest]), softest)[0])
 
 
 def sides(domain: Domain) -> list[float]:

@@ -15,6 +15,7 @@ from multicell.contact.law import effective_modulus, effective_radius
 from multicell.errors import SceneError
 from multicell.host.memory import physical_memory
 from multicell.integrators.registry import METHODS
+from multicell.scene.pairs import largest_adhesion
 from multicell.scene.sizes import division_radii
 
 if TYPE_CHECKING:
@@ -101,14 +102,11 @@ def _check_overlap(scene: Scene) -> None:
     Two cells must repel each other before their centres meet, at birth and before division, under
     the largest surface energy and the most bonds that occur, with the smallest mean modulus.
     """
-    law = scene.contact
-    if not law.acts:
+    if not scene.contact.acts:
         return
-    energies = [e for k in scene.types.values() for e in (k.surface_energy or {}).values()]
+    law = largest_adhesion(scene)
     young = min((k.young or scene.cells.young for k in scene.types.values()), default=0.0)
     young, poisson = young or scene.cells.young, scene.cells.poisson
-    if energies:
-        law = law.with_surface_energy(max(energies))
     modulus, bonds = effective_modulus(young, poisson, young, poisson), _most_bonds(scene)
     for radius in (part * own for own in division_radii(scene) for part in (HALF, 1.0)):
         pair, deep = effective_radius(radius, radius), 1.99 * radius

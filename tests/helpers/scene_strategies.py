@@ -45,6 +45,7 @@ NAMES = {
     "yields": FIELDS,
     "secretion_of": FIELDS,
     "surface_energy": TYPES,
+    "adhesion_with": TYPES,
     "parameters": ("exponent",),
     "sides": FACES,
     "phases": CYCLE_PHASES,
@@ -247,6 +248,9 @@ class Drawer:
                 value = row.get(field.name) or self.value(spec, field, f"{path}{field.name}")
                 if value is not None:
                     entries[field.name] = value
+        if part is Scene:
+            for field in entries.get("nutrients", {}).values():
+                _begin(self, field, entries.get("dimensions", 3))
         return fitted(entries, part)
 
     def value(self, spec, field, path):
@@ -280,6 +284,8 @@ class Drawer:
         return self.one_of(spec.options)
 
     def _text(self, spec, field, path):
+        if path.endswith("initial_file.sha256"):
+            return None  # that of the file
         plain = "", "A scene", 'with "quotes" \\ and # and = [x]', "é µ 🧫"
         return self.one_of(TEXTS.get(path.split(".")[-1], plain))
 
@@ -495,9 +501,6 @@ def plausible(draw, extreme=0.004, small=True, share=0.45):
     scene = drawer.part(Scene, "") or {"duration": 3600.0}
     # functions of this process, which no scene brings along
     scene.get("output", {}).pop("observables", None)
-    for field in scene.get("nutrients", {}).values():
-        if {"initial_file", "initial_formula"} & set(field) and drawer.chance(0.7):
-            field["regime"] = "transient"  # else what it begins as has no effect
     if small:
         _make_small(drawer, scene)
     return fitted(scene) or {"duration": 3600.0}
@@ -529,6 +532,20 @@ def starting(draw):
             field["finite_medium"] = {"volume": 10.0 ** draw(st.floats(5.0, 9.0))}
         scene["nutrients"] = {"oxygen": field}
     return scene
+
+
+def _begin(drawer, field, dimensions):
+    """Let what a field begins as mostly have an effect, and fit to the scene."""
+    if not {"initial_file", "initial_formula"} & set(field) or drawer.chance(0.2):
+        return
+    field["regime"] = "transient"
+    part = field.get("initial_file")
+    if isinstance(part, dict):
+        table = part["file"].endswith(".csv") and dimensions == 3
+        name = "space.csv" if table else "space.npy" if dimensions == 3 else "plane.npy"
+        part["file"] = str(written_field(name))
+        for key in ("x", "y", "z") if table else ("column",):
+            part.pop(key, None)
 
 
 def _make_small(drawer, scene):
