@@ -13,7 +13,7 @@ import numpy as np
 
 from multicell.contact.law import compliance
 from multicell.errors import SceneError, StepFailed
-from multicell.scene.ranges import largest_energy
+from multicell.scene.pairs import largest_adhesion
 from multicell.scene.sizes import division_radii
 
 if TYPE_CHECKING:
@@ -87,10 +87,10 @@ def _interaction_range(scene: Scene, factor: float) -> float:
     """Return the largest distance at which two cells of a scene may act on each other, µm."""
     swelling = 1.0 if scene.death is None else scene.death.swelling
     largest = division_radii(scene)[1] * swelling ** (1.0 / 3.0)
-    kinds, law = scene.types.values(), scene.contact
+    kinds = scene.types.values()
     young = min((kind.young or scene.cells.young for kind in kinds), default=scene.cells.young)
-    law = law.with_surface_energy(factor * largest_energy(scene))
     softest = 0.5 / float(compliance(young, scene.cells.poisson))
+    law = largest_adhesion(scene, factor)
     return 2.0 * float(law.list_radius(np.array([largest]), softest)[0])
 
 

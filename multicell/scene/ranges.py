@@ -15,6 +15,7 @@ from multicell.contact.law import effective_modulus, effective_radius
 from multicell.errors import SceneError
 from multicell.host.memory import physical_memory
 from multicell.integrators.registry import METHODS
+from multicell.scene.pairs import largest_adhesion, law_by_types
 from multicell.scene.sizes import division_radii
 
 if TYPE_CHECKING:
@@ -96,12 +97,6 @@ def _check_crowd(scene: Scene) -> None:
         raise SceneError("initial.spacing", problem, "At 1 neighbours touch.")
 
 
-def largest_energy(scene: Scene) -> float:
-    """Return the largest surface energy of a contact of a scene without responses, nN/µm."""
-    energies = [e for k in scene.types.values() for e in (k.surface_energy or {}).values()]
-    return max(energies, default=scene.contact.surface_energy)
-
-
 def check_overlap(scene: Scene, factor: float = 1.0, key: str = "contact.surface_energy") -> None:
     """Raise ``SceneError`` for cells so sticky that they would be drawn into one another.
 
@@ -114,19 +109,17 @@ def check_overlap(scene: Scene, factor: float = 1.0, key: str = "contact.surface
     if not scene.contact.acts:
         return
     kinds, usual = scene.types, scene.cells.young
-    softest = min((kind.young or usual for kind in kinds.values()), default=usual)
-    law, worst = scene.contact, factor * largest_energy(scene)
-    error = _drawn(scene, law.with_surface_energy(worst), softest, softest, key)
-    pairs = {
-        (energy, *sorted((kind.young or usual, kinds[other].young or usual)))
-        for kind in (kinds.values() if error else ())
-        for other, energy in (kind.surface_energy or {}).items()
-    }
-    if pairs:
-        found = (
-            _drawn(scene, law.with_surface_energy(factor * energy), *moduli, key)
-            for energy, *moduli in pairs
-        )
+    moduli = [kind.young or usual for kind in kinds.values()]
+    softest = min(moduli, default=usual)
+    error = _drawn(scene, largest_adhesion(scene, factor), softest, softest, key)
+    law, entries = law_by_types(scene)
+    if error is not None and entries is not None:
+        pairs = {
+            (float(entries[i, j]), min(moduli[i], moduli[j]), max(moduli[i], moduli[j]))
+            for i in range(len(moduli))
+            for j in range(i + 1)
+        }
+        found = (_drawn(scene, law.for_pair(factor * x), a, b, key) for x, a, b in pairs)
         error = next(filter(None, found), None)
     if error is not None:
         raise error

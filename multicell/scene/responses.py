@@ -38,8 +38,9 @@ from multicell.scene.checks import check_kinds
 from multicell.scene.dependences import followed
 from multicell.scene.networks import check_kinds_have, check_network_signal, network_signals
 from multicell.scene.oxygen import check_dissolves, concentration, is_oxygen
+from multicell.scene.pairs import largest_energy
 from multicell.scene.parts import CellType, loaded_in
-from multicell.scene.ranges import check_overlap, largest_energy
+from multicell.scene.ranges import check_overlap
 from multicell.scene.reactions import group_of
 from multicell.schema import (
     Bounds,
