@@ -23,7 +23,7 @@ def motion(factors):
 
 def forces(law, factors, overlaps, energies=None):
     """Return the force on the second of two cells along the line of centres, nN."""
-    system = Mechanics(law, 1.0, surface_energies=energies)
+    system = Mechanics(law, 1.0, pair_table=energies)
     found = []
     for overlap in overlaps:
         system.begin(motion(factors))
