@@ -120,10 +120,10 @@ def letters_of_pages():
 
     inline = style.inline_picture
 
-    def checked(figure):
+    def checked(figure, path=None):
         size, text = smallest_letters(figure)
         assert size >= SMALLEST, f"{text!r} has {size:.2f} pt at the width of its page"
-        shown = inline(figure)
+        shown = inline(figure, path)
         size, text = smallest_letters(figure, shown.least)
         assert size + 1e-9 >= SMALLEST, f"{text!r} has {size:.2f} pt on a narrow page"
         assert shown.least <= PAGE

@@ -5,7 +5,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import nbformat
 import notebook_runner
 import pytest
 from page_commands import ROOT
@@ -13,6 +12,7 @@ from page_commands import ROOT
 import multicell as mc
 from multicell.report.wording import diagnostics, measures
 
+nbformat = pytest.importorskip("nbformat", reason="notebooks are made with multicell[docs]")
 pytest.importorskip("myst_nb")
 DOCS = ROOT / "docs"
 sys.path.insert(0, str(DOCS / "extensions"))

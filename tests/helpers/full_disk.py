@@ -33,6 +33,8 @@ WRITING = {
     "study report": lambda at, out: ["study", "report", at / "study"],
     "compare": lambda at, out: ["compare", "settle", "-o", out, "--methods", "euler", *FEW],
     "stability": lambda at, out: ["stability", "settle", "-o", out, "--methods", "euler", *FEW],
+    "stability in motion": lambda at, out: ["stability", "--state", f"{at / 'tissue'}:0 s",
+                                            "-o", out, "--methods", "euler"],
     "sensitivity": lambda at, out: ["sensitivity", "growth", *SHORT, *FREE, "--size", "4",
                                     "-o", out, "--cores", "1"],
     "fit": lambda at, out: ["fit", "growth", *SHORT, *FREE, "--data", at / "data.csv", "-o", out,
@@ -65,6 +67,17 @@ def prepare(place, multicell):
     (place / "data.csv").write_text("time / h,diameter / um\n0.5,15\n1,15\n1.5,16\n2,16\n")
     for words in (
         ["run", "growth", "-o", place / "run", *SHORT, "--no-report"],
+        [
+            "run",
+            "settle",
+            "-o",
+            place / "tissue",
+            "--set",
+            "initial.count=8",
+            "--set",
+            "duration=1 min",
+            "--no-report",
+        ],
         [*study, place / "study"],
         ["study", "run", place / "study", "--cores", 1, "--no-report"],
         [*study, place / "planned"],
