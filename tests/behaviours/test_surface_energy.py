@@ -23,7 +23,7 @@ def motion(factors):
 
 def forces(law, factors, overlaps, energies=None):
     """Return the force on the second of two cells along the line of centres, nN."""
-    system = Mechanics(law, 1.0, surface_energies=energies)
+    system = Mechanics(law, 1.0, pair_table=energies)
     found = []
     for overlap in overlaps:
         system.begin(motion(factors))
@@ -41,7 +41,7 @@ def test_force_is_that_of_a_law_with_the_mean_energy(name, factors):
     law, mean = scene.contact, float(np.sqrt(factors[0] * factors[1]))
     overlaps = np.linspace(-0.2, 4.0, 18)
     found = forces(law, np.array(factors), overlaps)
-    wanted = law.with_surface_energy(mean * law.surface_energy)
+    wanted = law.for_pair(mean * law.surface_energy)
     exact = forces(wanted, None, overlaps)
     np.testing.assert_allclose(found, exact, rtol=1e-12, atol=1e-15)
     assert exact.min() < 0.0
@@ -61,7 +61,7 @@ def test_of_types_the_energy_of_their_pair_is_scaled():
     law = mc.Scene.from_dict({"duration": "1 h", "contact": {"law": "jkr"}}).contact
     energies, overlaps = np.array([[0.1, 0.02], [0.02, 0.3]]), np.linspace(0.0, 1.0, 5)
     found = forces(law, np.array([4.0, 1.0]), overlaps, energies)
-    wanted = forces(law.with_surface_energy(0.04), None, overlaps)
+    wanted = forces(law.for_pair(0.04), None, overlaps)
     np.testing.assert_allclose(found, wanted, rtol=1e-12)
 
 
