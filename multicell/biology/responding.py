@@ -392,8 +392,9 @@ def _weighted(
     pairs = _touching(cells, period, contacts)
     if not weighted:
         return pairs, np.ones(len(pairs))
-    one, other = cells.radius[pairs].T
-    return pairs, np.pi * one * other * _overlap(cells, *pairs.T, period)
+    first, second = pairs.T
+    overlap = _overlap(cells, first, second, period)
+    return pairs, np.pi * cells.radius[first] * cells.radius[second] * overlap
 
 
 def _overlap(
