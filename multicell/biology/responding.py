@@ -392,9 +392,9 @@ def _weighted(
     pairs = _touching(cells, period, contacts)
     if not weighted:
         return pairs, np.ones(len(pairs))
-    first, second = pairs.T
-    overlap = _overlap(cells, first, second, period)
-    return pairs, np.pi * cells.radius[first] * cells.radius[second] * overlap
+    first, second = pairs[:, 0], pairs[:, 1]
+    product = cells.radius[first] * cells.radius[second]
+    return pairs, np.pi * product * _overlap(cells, first, second, period)
 
 
 def _overlap(
