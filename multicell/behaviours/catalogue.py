@@ -113,6 +113,8 @@ OF_NEIGHBOURS: Final = "neighbours."
 """Signals that begin so are the mean of a network's value over the neighbours that touch."""
 SUM_OF: Final = "sum of "
 """Before such a signal: the sum in place of the mean."""
+WEIGHTED: Final = "weighted "
+"""Before such signals: each neighbour counts in proportion to the area of the contact."""
 
 
 def behaviour_named(name: str, path: str) -> tuple[Behaviour, str]:
@@ -148,6 +150,11 @@ def signal_unit(name: str, fields: Iterable[str], path: str) -> str:
         return "mM"
     known = [*fields, *SIGNALS, f"{CONTACTS}TYPE", f"{PHASE}NAME"]
     raise SceneError(path, f"is {name!r}, which is no signal here", near_miss(name, known))
+
+
+def value_around(signal: str) -> str:
+    """Return the ``NETWORK.NAME`` of which a signal is the value, also in neighbours."""
+    return signal.removeprefix(WEIGHTED).removeprefix(SUM_OF).removeprefix(OF_NEIGHBOURS)
 
 
 def needs_contacts(signal: str) -> bool:

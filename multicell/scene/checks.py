@@ -13,7 +13,7 @@ from multicell.scene import domain as box
 from multicell.scene.dependences import solving_order
 from multicell.scene.field_solvers import check_solver
 from multicell.scene.nutrient import LEVELS
-from multicell.scene.oxygen import OXYGEN, check_dissolves
+from multicell.scene.oxygen import check_dissolves, is_oxygen
 from multicell.scene.reactions import groups
 from multicell.scene.scales import (
     MAX_NODES,
@@ -202,7 +202,7 @@ def check_nutrients(scene: Scene) -> None:
     for name, nutrient in scene.nutrients.items():
         path = f"nutrients.{name}"
         _check_names(scene, path, nutrient)
-        if name == OXYGEN:
+        if is_oxygen(name):
             _check_oxygen(path, nutrient)
         _check_spacing(scene, path, nutrient)
         _check_sides(scene, path, nutrient)

@@ -18,6 +18,7 @@ from multicell.integrators.registry import METHODS
 from multicell.scene.sizes import division_radii
 
 if TYPE_CHECKING:
+    from multicell.contact.law import PairLaw
     from multicell.scene.scene import Scene
 
 
@@ -99,17 +100,32 @@ def _check_overlap(scene: Scene) -> None:
     """Raise ``SceneError`` for cells so sticky that they would be drawn into one another.
 
     Two cells must repel each other before their centres meet, at birth and before division, under
-    the largest surface energy and the most bonds that occur, with the smallest mean modulus.
+    their surface energy and the most bonds that occur.
     """
-    law = scene.contact
-    if not law.acts:
+    if not scene.contact.acts:
         return
-    energies = [e for k in scene.types.values() for e in (k.surface_energy or {}).values()]
-    young = min((k.young or scene.cells.young for k in scene.types.values()), default=0.0)
-    young, poisson = young or scene.cells.young, scene.cells.poisson
-    if energies:
-        law = law.with_surface_energy(max(energies))
-    modulus, bonds = effective_modulus(young, poisson, young, poisson), _most_bonds(scene)
+    kinds, usual = scene.types, scene.cells.young
+    softest = min((kind.young or usual for kind in kinds.values()), default=usual)
+    energies = [e for kind in kinds.values() for e in (kind.surface_energy or {}).values()]
+    law = scene.contact
+    worst = law.with_surface_energy(max(energies)) if energies else law
+    error = _drawn(scene, worst, softest, softest)
+    pairs = {
+        (energy, *sorted((kind.young or usual, kinds[other].young or usual)))
+        for kind in (kinds.values() if error else ())
+        for other, energy in (kind.surface_energy or {}).items()
+    }
+    if pairs:
+        found = (_drawn(scene, law.with_surface_energy(e), *moduli) for e, *moduli in pairs)
+        error = next(filter(None, found), None)
+    if error is not None:
+        raise error
+
+
+def _drawn(scene: Scene, law: PairLaw, young: float, other: float) -> SceneError | None:
+    """Return an error for two cells that do not repel each other where their centres meet."""
+    poisson = scene.cells.poisson
+    modulus, bonds = effective_modulus(young, poisson, other, poisson), _most_bonds(scene)
     for radius in (part * own for own in division_radii(scene) for part in (HALF, 1.0)):
         pair, deep = effective_radius(radius, radius), 1.99 * radius
         force = float(law.evaluate(deep, modulus, pair, rest=2.0 * radius, touching=True)[0])
@@ -118,10 +134,11 @@ def _check_overlap(scene: Scene) -> None:
         if force <= 0.0 and not law.is_sticky:
             problem = f"gives a force of {force:.3g} nN to cells that overlap by {deep:.3g} um"
             hint = "A force is positive where cells repel each other: change the sign of the law."
-            raise SceneError("contact.law", problem, hint)
+            return SceneError("contact.law", problem, hint)
         path = "adhesion.strength" if force > 0.0 else "contact.surface_energy"
         problem = f"draws cells of radius {radius:.3g} um into one another, centre upon centre"
-        raise SceneError(path, problem, "Let cells stick less, or take a larger cells.young.")
+        return SceneError(path, problem, "Let cells stick less, or take a larger cells.young.")
+    return None
 
 
 def _most_bonds(scene: Scene) -> float:

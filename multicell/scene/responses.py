@@ -36,7 +36,7 @@ from multicell.plugins.named import OWN_OBJECT
 from multicell.scene.checks import check_kinds
 from multicell.scene.dependences import followed
 from multicell.scene.networks import check_kinds_have, check_network_signal, network_signals
-from multicell.scene.oxygen import check_dissolves, concentration
+from multicell.scene.oxygen import check_dissolves, concentration, is_oxygen
 from multicell.scene.parts import CellType, loaded_in
 from multicell.scene.reactions import group_of
 from multicell.schema import (
@@ -459,7 +459,7 @@ def signal_reader(scene: Scene, name: str) -> Any:
         check_dissolves(level, scene.nutrients[name].temperature, path)
         return level
 
-    return oxygen if name == "oxygen" and name in scene.nutrients else read
+    return oxygen if is_oxygen(name) and name in scene.nutrients else read
 
 
 def _check_behaviour(scene: Scene, behaviour: Behaviour, of: str) -> None:
