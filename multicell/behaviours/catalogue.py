@@ -53,6 +53,8 @@ def _chance(name: str, doc: str) -> Behaviour:
     return Behaviour(name, doc, "type", "", "sum", 1.0)
 
 
+SURFACE_ENERGY: Final = "surface energy"
+
 BEHAVIOURS: Final = (
     Behaviour("growth rate", "factor on growth, and on the cycle in the phases in which it grows"),
     Behaviour("entry into", "factor on the pace of the phase before", "phase"),
@@ -70,6 +72,7 @@ BEHAVIOURS: Final = (
     Behaviour("receptors", "factor on the receptors"),
     Behaviour("ligands", "factor on the ligands"),
     Behaviour("Young's modulus", "factor on Young's modulus"),
+    Behaviour(SURFACE_ENERGY, "factor on the surface energy of a cell's contacts"),
 )
 """All behaviours."""
 

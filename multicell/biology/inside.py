@@ -800,7 +800,8 @@ def _around(values: FloatArray, pairs: IntArray, weights: FloatArray, *, mean: b
     if not mean:
         return total
     whole = np.bincount(first, weights, minlength=len(values))
-    return np.divide(total, whole, out=np.zeros(len(values)), where=whole > 0.0)
+    found = np.divide(total, whole, out=np.zeros(len(values)), where=whole > 0.0)
+    return np.asarray(found)
 
 
 def _failed(part: PlacedNetwork, failure: Any, ids: IntArray) -> StepFailed:

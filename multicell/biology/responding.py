@@ -392,8 +392,9 @@ def _weighted(
     pairs = _touching(cells, period, contacts)
     if not weighted:
         return pairs, np.ones(len(pairs))
-    one, other = cells.radius[pairs].T
-    return pairs, np.pi * one * other * _overlap(cells, *pairs.T, period)
+    first, second = pairs[:, 0], pairs[:, 1]
+    product = cells.radius[first] * cells.radius[second]
+    return pairs, np.pi * product * _overlap(cells, first, second, period)
 
 
 def _overlap(

@@ -76,6 +76,8 @@ class Motion:
       the neighbour list has room for that.
     - ``diffusion``, (n,), optional: diffusion of free cells by Brownian motion, µm²/s. Forces do
       not hold it: :meth:`part` makes one of it that is constant over an internal step.
+    - ``sticky``, (n,), optional: factor of each cell on surface energies, see
+      :func:`multicell.mechanics.pair_values.pair_data`
     """
 
     radius: FloatArray
@@ -92,6 +94,7 @@ class Motion:
     velocity: FloatArray | None = None
     newborn: NDArray[Any] | None = None
     diffusion: FloatArray | None = None
+    sticky: FloatArray | None = None
 
     @property
     def end_radius(self) -> FloatArray:

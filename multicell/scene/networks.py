@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.behaviours.catalogue import OF_NEIGHBOURS, SUM_OF, WEIGHTED, value_around
 from multicell.errors import SceneError
+from multicell.host.files import other_file
 from multicell.scene.checks import check_kinds, check_names
 from multicell.schema import (
     Draw,
@@ -115,7 +116,7 @@ class CellNetwork:
             object.__setattr__(self, "file", path)
             digest = _digest(_text(path))
             if self.sha256 not in (None, digest):
-                raise _other_file(path)
+                raise other_file(path)
             object.__setattr__(self, "sha256", digest)
 
     @property
@@ -165,7 +166,7 @@ class _Document:
         """Return its text; raises ``SceneError`` for a file with another digest."""
         text = _text(self.path)
         if _digest(text) != self.digest:
-            raise _other_file(self.path)
+            raise other_file(self.path)
         return text
 
 
@@ -194,11 +195,6 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _other_file(path: str) -> SceneError:
-    return SceneError("file", f"'{path}' {OTHER_FILE}", "Leave sha256 out to take it as it is now.")
-
-
-OTHER_FILE: Final = "is not the file that the scene was made with"
 COPIED_NETWORK: Final = ".network"
 """In the name of the copy of a network's file in the folder of a run, ``NAME.network.ant``."""
 

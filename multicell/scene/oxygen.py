@@ -55,6 +55,7 @@ def _field(path: tuple[str | int, ...]) -> str | None:
         case (
             ("nutrients", str(field), "media", int(), 1)
             | ("nutrients", str(field), "sides", _, "value")
+            | ("nutrients", str(field), "initial_file", "scale")
             | ("nutrients", _, "uptake_on", str(field), "half")
         ):
             return field
@@ -94,12 +95,17 @@ def saturated(temperature: float) -> float:
     return (_ATMOSPHERE - vapour_pressure(temperature)) * oxygen_solubility(temperature)
 
 
-def check_dissolves(level: float, temperature: float, path: str) -> None:
-    """Raise ``SceneError`` for more oxygen, mM, than water dissolves of it pure.
+def most_dissolved(temperature: float) -> float:
+    """Return how much pure oxygen water dissolves, mM.
 
-    1 mM is allowed at any temperature: at that of the body it is what dissolves, to 0.01 %.
+    1 mM is allowed at any temperature: at that of the body it dissolves so much, to 0.01 %.
     """
-    most = max(saturated(temperature), 1.0)
+    return max(saturated(temperature), 1.0)
+
+
+def check_dissolves(level: float, temperature: float, path: str) -> None:
+    """Raise ``SceneError`` for more oxygen, mM, than water dissolves of it pure."""
+    most = most_dissolved(temperature)
     if level > most:
         problem = f"is {level:.4g} mM, but under pure oxygen water dissolves {most:.3g} mM"
         hint = f"Percentages and pressures have a unit: '{level:.4g} %', '{level:.4g} mmHg'."

@@ -15,6 +15,7 @@ from multicell.contact.law import effective_modulus, effective_radius
 from multicell.errors import SceneError
 from multicell.host.memory import physical_memory
 from multicell.integrators.registry import METHODS
+from multicell.scene.pairs import largest_adhesion, law_by_types
 from multicell.scene.sizes import division_radii
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def check_sizes(scene: Scene) -> None:
     """Raise ``SceneError`` for numbers that nothing can be computed with together."""
     _check_steps(scene)
     _check_crowd(scene)
-    _check_overlap(scene)
+    check_overlap(scene)
     _check_diffusion(scene)
 
 
@@ -96,8 +97,11 @@ def _check_crowd(scene: Scene) -> None:
         raise SceneError("initial.spacing", problem, "At 1 neighbours touch.")
 
 
-def _check_overlap(scene: Scene) -> None:
+def check_overlap(scene: Scene, factor: float = 1.0, key: str = "contact.surface_energy") -> None:
     """Raise ``SceneError`` for cells so sticky that they would be drawn into one another.
+
+    - ``factor``: on surface energies
+    - ``key``: that has made it so large
 
     Two cells must repel each other before their centres meet, at birth and before division, under
     their surface energy and the most bonds that occur.
@@ -105,24 +109,23 @@ def _check_overlap(scene: Scene) -> None:
     if not scene.contact.acts:
         return
     kinds, usual = scene.types, scene.cells.young
-    softest = min((kind.young or usual for kind in kinds.values()), default=usual)
-    energies = [e for kind in kinds.values() for e in (kind.surface_energy or {}).values()]
-    law = scene.contact
-    worst = law.with_surface_energy(max(energies)) if energies else law
-    error = _drawn(scene, worst, softest, softest)
-    pairs = {
-        (energy, *sorted((kind.young or usual, kinds[other].young or usual)))
-        for kind in (kinds.values() if error else ())
-        for other, energy in (kind.surface_energy or {}).items()
-    }
-    if pairs:
-        found = (_drawn(scene, law.with_surface_energy(e), *moduli) for e, *moduli in pairs)
+    moduli = [kind.young or usual for kind in kinds.values()]
+    softest = min(moduli, default=usual)
+    error = _drawn(scene, largest_adhesion(scene, factor), softest, softest, key)
+    law, entries = law_by_types(scene)
+    if error is not None and entries is not None:
+        pairs = {
+            (float(entries[i, j]), min(moduli[i], moduli[j]), max(moduli[i], moduli[j]))
+            for i in range(len(moduli))
+            for j in range(i + 1)
+        }
+        found = (_drawn(scene, law.for_pair(factor * x), a, b, key) for x, a, b in pairs)
         error = next(filter(None, found), None)
     if error is not None:
         raise error
 
 
-def _drawn(scene: Scene, law: PairLaw, young: float, other: float) -> SceneError | None:
+def _drawn(scene: Scene, law: PairLaw, young: float, other: float, key: str) -> SceneError | None:
     """Return an error for two cells that do not repel each other where their centres meet."""
     poisson = scene.cells.poisson
     modulus, bonds = effective_modulus(young, poisson, other, poisson), _most_bonds(scene)
@@ -135,7 +138,7 @@ def _drawn(scene: Scene, law: PairLaw, young: float, other: float) -> SceneError
             problem = f"gives a force of {force:.3g} nN to cells that overlap by {deep:.3g} um"
             hint = "A force is positive where cells repel each other: change the sign of the law."
             return SceneError("contact.law", problem, hint)
-        path = "adhesion.strength" if force > 0.0 else "contact.surface_energy"
+        path = "adhesion.strength" if force > 0.0 else key
         problem = f"draws cells of radius {radius:.3g} um into one another, centre upon centre"
         return SceneError(path, problem, "Let cells stick less, or take a larger cells.young.")
     return None

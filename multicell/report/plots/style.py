@@ -219,13 +219,13 @@ def inline_picture(figure: Figure, path: Path | None = None) -> InlinePicture:
     return InlinePicture(png, dark, *size, least, subtitle="".join(subtitles))
 
 
-def _drawn(figure: Figure) -> FigureCanvasAgg:
-    canvas = FigureCanvasAgg(figure)
+def _drawn(figure: Figure) -> Any:
+    canvas: Any = FigureCanvasAgg(figure)  # whose methods have no types
     canvas.draw()
     return canvas
 
 
-def _as_png(canvas: FigureCanvasAgg) -> bytes:
+def _as_png(canvas: Any) -> bytes:
     """Return a drawn canvas as a file, as :func:`render` makes it."""
     picture = io.BytesIO()
     imsave(picture, canvas.buffer_rgba(), format="png", dpi=DPI, metadata={"Software": "multicell"})
@@ -239,13 +239,13 @@ def readable_width(figure: Figure) -> int:
     return readable_from(min(sizes), figure.get_figwidth()) if sizes else 0
 
 
-def _packed(canvas: FigureCanvasAgg, size: tuple[int, int]) -> str:
+def _packed(canvas: Any, size: tuple[int, int]) -> str:
     """Return the lower part of a drawn canvas, of a size in pixels, as a PNG in base64."""
     from PIL import Image
 
     packed = io.BytesIO()
     pixels = np.asarray(canvas.buffer_rgba())[-size[1] :]
-    image = Image.frombuffer("RGBA", size, pixels.data, "raw", "RGBA", 0, 1).convert("RGB")
+    image = Image.frombuffer("RGBA", size, pixels, "raw", "RGBA", 0, 1).convert("RGB")
     # a palette makes it a third as large; harder packing saves a tenth in ten times the time
     few = image.quantize(256, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     few.save(packed, format="PNG", compress_level=6)
