@@ -12,6 +12,7 @@ from multicell.cells import SPHERE
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, CellDefinition, Model
 from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
+from multicell.importing.physicell.water import DivisionRate, rate_with_water
 from multicell.units import whole_number
 
 if TYPE_CHECKING:
@@ -187,13 +188,32 @@ def _set_growth(
     if law.target != target:  # some cells are larger at the start than those that divide
         for phase in growth["phases"].values():
             phase["target_scale"] = phase.get("target_scale", 1.0) * target / law.target
+    rates = {kind: _growth_rate(model, kind, cycle) for kind, cycle in known.items()}
     for kind in (lead, *known):
-        rate = min(max(kind.number_of(f"volume/{_RATE}", 0.0045), _PACES[0]), _PACES[1])
+        rate = min(max(rates[kind], _PACES[0]), _PACES[1])
         time = law.exponent * MINUTE / rate
         if kind is lead:
             growth["volume_doubling_time"] = time
         elif time != growth["volume_doubling_time"]:
             model.of_type(kind, "volume_doubling_time", time)
+
+
+def _growth_rate(model: Model, kind: CellDefinition, cycle: Cycle) -> float:
+    """Return the rate at which the volume of a type relaxes, 1/min: that of its solids.
+
+    Where a rule lets cells divide by their volume it is less, since their water follows.
+    """
+    rate, entry = kind.number_of(f"volume/{_RATE}", 0.0045), cycle.rates[0]
+    for rule in _exits(model, kind, 0):
+        if cycle.model.doubles_before or rule.signal != "volume" or rule.end <= entry:
+            continue
+        found = rate_with_water(kind, rate, DivisionRate(entry, rule.end, rule.half, rule.power))
+        note = f"{found:.4g} for {rate:.4g} 1/min: water follows the solids, and the rule about "
+        note += "volume lets cells divide as often as with it"
+        key = "growth.volume_doubling_time"
+        model.account.take(kind.own(f"volume/{_RATE}"), Fate.APPROXIMATED, key, note)
+        return found
+    return rate
 
 
 def _set_start(model: Model, known: Mapping[CellDefinition, Cycle], lead: CellDefinition) -> None:
