@@ -14,7 +14,8 @@ from multicell.mechanics.neighbours import PairList, are_listed, listed
 
 def has_pair_values(law: PairLaw, motion: Motion, pair_table: FloatArray | None) -> bool:
     """Return whether the law keeps values for each pair, which are made with each list."""
-    return law.remembers or (pair_table is not None and motion.kind is not None)
+    typed = pair_table is not None and motion.kind is not None
+    return law.remembers or typed or motion.sticky is not None
 
 
 def pair_data(
@@ -26,16 +27,21 @@ def pair_data(
 ) -> PairData:
     """Return a list with what the law keeps for each pair, as kernels take it.
 
-    - ``pair_table``, (k, k), optional: over the types ``motion.kind``, of the law's entries
+    - ``pair_table``, (k, k), optional: over the types ``motion.kind``, of the law's entries; of a
+      surface energy a pair has the geometric mean of its cells' factors ``motion.sticky``,
+      Berthelot's rule
     - ``compliance``, (n,): of the cells, 1/kPa
     """
     if not has_pair_values(law, motion, pair_table):
         return PairData(*pairs.arrays, None, None, None)
     first, second = listed(pairs)
-    adhesion = None
+    entries: FloatArray | float | None = None
     if pair_table is not None and motion.kind is not None:
-        table = law.adhesion_of(pair_table)
-        adhesion = np.ascontiguousarray(table[motion.kind[first], motion.kind[second]])
+        entries = pair_table[motion.kind[first], motion.kind[second]]
+    if motion.sticky is not None:
+        own = law.surface_energy if entries is None else entries
+        entries = own * np.sqrt(motion.sticky[first] * motion.sticky[second])
+    adhesion = None if entries is None else np.ascontiguousarray(law.adhesion_of(entries))
     if not law.remembers:
         return PairData(*pairs.arrays, adhesion, None, None)
     modulus = 1.0 / (compliance[first] + compliance[second])

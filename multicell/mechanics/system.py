@@ -201,8 +201,10 @@ class Mechanics:
         if len(radius) == 0:
             return radius
         law, softest = self.law, 0.5 / float(self._rows[:, COMPLIANCE].max())
-        if self.pair_table is not None:
-            law = law.for_pair(float(self.pair_table.max()))
+        table, sticky = self.pair_table, self.motion.sticky
+        if table is not None or sticky is not None:
+            most = law.surface_energy if table is None else float(table.max())
+            law = law.for_pair(most * (1.0 if sticky is None else float(sticky.max())))
         return law.list_radius(radius, softest)
 
     def __len__(self) -> int:

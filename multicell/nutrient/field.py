@@ -14,7 +14,7 @@ from multicell.nutrient.grid import BoxLayout, Layout, ShellLayout
 from multicell.nutrient.tissue import Tissue, drawn_in, drawn_to_ball, reaching
 from multicell.nutrient.uptake import uptake
 from multicell.scene.formulas import formula_values
-from multicell.scene.oxygen import OXYGEN, check_dissolves
+from multicell.scene.oxygen import check_dissolves, is_oxygen
 
 if TYPE_CHECKING:
     from multicell.nutrient.balance import FieldExchange, WellMixed
@@ -200,7 +200,7 @@ class NutrientField:
             where = ", ".join(f"{x:g}" for x in places[wrong[0]])
             problem = f"initial_formula of {self.name} is {values[wrong[0]]:g} mM at ({where}) um"
             raise NutrientFailed(problem, "A concentration is finite and not below zero")
-        if self.name == OXYGEN:
+        if is_oxygen(self.name):
             path = f"nutrients.{self.name}.initial_formula"
             check_dissolves(float(values.max()), self.parameters.nutrient.temperature, path)
         return values.reshape(layout.shape)

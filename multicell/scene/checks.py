@@ -14,7 +14,7 @@ from multicell.scene import domain as box
 from multicell.scene.dependences import solving_order
 from multicell.scene.field_solvers import check_solver
 from multicell.scene.nutrient import LEVELS, MAX_CONCENTRATION
-from multicell.scene.oxygen import OXYGEN, check_dissolves, most_dissolved
+from multicell.scene.oxygen import check_dissolves, is_oxygen, most_dissolved
 from multicell.scene.reactions import groups
 from multicell.scene.scales import (
     MAX_NODES,
@@ -228,7 +228,7 @@ def check_nutrients(scene: Scene) -> None:
     for name, nutrient in scene.nutrients.items():
         path = f"nutrients.{name}"
         _check_names(scene, path, nutrient)
-        if name == OXYGEN:
+        if is_oxygen(name):
             _check_oxygen(path, nutrient)
         _check_spacing(scene, path, nutrient)
         _check_sides(scene, path, nutrient)
@@ -296,7 +296,7 @@ def _check_initial_file(scene: Scene, name: str) -> None:
         shape = " x ".join(map(str, grid.values.shape))
         problem = f"has {shape} values, but the scene has {scene.dimensions} dimensions"
         raise SceneError("file", problem, f"Its axes are {', '.join('xyz'[: scene.dimensions])}.")
-    most = most_dissolved(nutrient.temperature) if name == OXYGEN else MAX_CONCENTRATION
+    most = most_dissolved(nutrient.temperature) if is_oxygen(name) else MAX_CONCENTRATION
     largest = float(grid.values.max()) * part.scale
     if not largest <= most:
         problem = f"makes the file's largest value {largest:.4g} mM, must be at most {most:.4g} mM"

@@ -43,10 +43,23 @@ def adhesion_with(scene: Scene, a: str, b: str) -> float:
     return one.get(b, other.get(a, 1.0))
 
 
-def largest_adhesion(scene: Scene) -> PairLaw:
-    """Return the law between the two types that stick to each other most."""
+def largest_energy(scene: Scene) -> float:
+    """Return the largest surface energy of a contact of a scene without responses, nN/µm."""
     law, entries = law_by_types(scene)
-    return law if entries is None else law.for_pair(float(entries.max()))
+    if entries is None or not law.is_sticky:
+        return scene.contact.surface_energy
+    return float(entries.max())
+
+
+def largest_adhesion(scene: Scene, factor: float = 1.0) -> PairLaw:
+    """Return the law between the two types that stick to each other most.
+
+    - ``factor``: on surface energies, as responses may set it
+    """
+    law, entries = law_by_types(scene)
+    if entries is not None:
+        return law.for_pair(factor * float(entries.max()))
+    return law if factor == 1.0 else law.for_pair(factor * law.surface_energy)
 
 
 def compression(scene: Scene) -> TissueCompression | None:

@@ -17,6 +17,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
+from multicell.behaviours.catalogue import SURFACE_ENERGY
 from multicell.contact.law import PairLaw
 from multicell.contact.registry import CONTACT_LAWS
 from multicell.errors import SceneError
@@ -61,7 +62,13 @@ from multicell.scene.parts import (
 from multicell.scene.radiation import Radiation, check_radiation
 from multicell.scene.ranges import check_sizes
 from multicell.scene.reactions import Reaction
-from multicell.scene.responses import Response, check_responses, check_signal, relevant_fields
+from multicell.scene.responses import (
+    Response,
+    check_responses,
+    check_signal,
+    largest_factor,
+    relevant_fields,
+)
 from multicell.scene.start_table import Initial, place_table
 from multicell.schema import (
     build_part,
@@ -202,7 +209,8 @@ class Scene:
             check_responses(self)
         conditions(self)
         self.contact.check_scene(self)
-        check_domain(self)
+        sticky = largest_factor(self, SURFACE_ENERGY)[0] if self.responses else 1.0
+        check_domain(self, sticky)
         check_driven(self)
         check_nutrients(self)
         check_energy(self)

@@ -78,7 +78,7 @@ def relax(t, y, u, p, out):
 TEXTS = {
     "columns": ("", "x=position_x_um um, y=y_um um, z=z_um um"),
     "behaviour": ("growth rate", "rest", "apoptosis rate", "necrosis rate", "damage rate",
-                  "entry into S", "speed", "receptors", "Young's modulus",
+                  "entry into S", "speed", "receptors", "Young's modulus", "surface energy",
                   "uptake of oxygen", "change to soft"),
     "signal": (*FIELDS, "pressure", "age", "volume", "time", "neighbours",
                "contacts with soft", "relax.A", "neighbours.relax.A"),

@@ -125,9 +125,7 @@ def test_surface_energy_by_type(law):
     kind = np.random.default_rng(3).integers(0, 2, n)
     matrix = np.array([[0.1, 0.02], [0.02, 0.05]])
     touching = np.sort(cKDTree(position).query_pairs(12.0, output_type="ndarray"), axis=1)
-    made = system(
-        law, radius, young, kind=kind, touching=touching, options={"pair_table": matrix}
-    )
+    made = system(law, radius, young, kind=kind, touching=touching, options={"pair_table": matrix})
     pairs = Pairs(position, radius, young, law, touching, sigma=matrix[np.ix_(kind, kind)])
     expected = pairs.forces()
     found = made.force(0.0, position)

@@ -22,7 +22,13 @@ _INSTANT = 1.0
 """Length of a phase that a model does not have, s."""
 _NEVER = 1e6
 """Mean cycle over the duration of the run, for types whose cells do not divide."""
-_RATE = "cytoplasmic_biomass_change_rate"
+_RATES = {
+    "cytoplasmic_biomass_change_rate": 0.0045,
+    "nuclear_biomass_change_rate": 0.0055,
+    "fluid_change_rate": 0.05,
+}
+"""Rates at which parts of a cell go to their targets, 1/min, with PhysiCell's entries for them."""
+_PARTS = (*_RATES, "fluid_fraction", "nuclear")
 _SLOWEST, _FASTEST = 0.7, 12.0
 """Bounds of rate times growing time for the volume that is called that of division."""
 _PACES = 1e-9, 1e4
@@ -199,19 +205,18 @@ def _set_growth(
 
 
 def _growth_rate(model: Model, kind: CellDefinition, cycle: Cycle) -> float:
-    """Return the rate at which the volume of a type relaxes, 1/min: that of its solids.
-
-    Where a rule lets cells divide by their volume it is less, since their water follows.
-    """
-    rate, entry = kind.number_of(f"volume/{_RATE}", 0.0045), cycle.rates[0]
+    """Return the rate of growth of a type, 1/min, which a rule about its volume makes another."""
+    rate, entry = _pace(kind), cycle.rates[0]
     for rule in _exits(model, kind, 0):
         if cycle.model.doubles_before or rule.signal != "volume" or rule.end <= entry:
             continue
-        found = rate_with_water(kind, rate, DivisionRate(entry, rule.end, rule.half, rule.power))
-        note = f"{found:.4g} for {rate:.4g} 1/min: water follows the solids, and the rule about "
-        note += "volume lets cells divide as often as with it"
+        found = rate_with_water(kind, DivisionRate(entry, rule.end, rule.half, rule.power))
+        if rate == 0.0 or found is None:
+            continue
+        note = f"{found:.4g} for {rate:.4g} 1/min: a rule about volume lets cells divide as often "
+        note += "as PhysiCell's, whose water follows the solids"
         key = "growth.volume_doubling_time"
-        model.account.take(kind.own(f"volume/{_RATE}"), Fate.APPROXIMATED, key, note)
+        model.account.take(kind.own(f"volume/{next(iter(_RATES))}"), Fate.APPROXIMATED, key, note)
         return found
     return rate
 
@@ -233,16 +238,37 @@ def _set_start(model: Model, known: Mapping[CellDefinition, Cycle], lead: CellDe
             model.cells.begun[kind] = begun * _scale(model, own, cycle)
 
 
+def _pace(kind: CellDefinition) -> float:
+    """Return the rate r of V' = r (K - V) in 1/min by which a whole cell grows.
+
+    PhysiCell's solids s of nucleus and cytoplasm go to their targets at rates of their own, and
+    water F after them, F' = k (f V - F). 1/r is the mean time in which the volume follows a target
+    that is doubled: the shares of the solids over their rates, and f / ((1 - f) k).
+    """
+    cytoplasm, nucleus, water = (
+        kind.number_of(f"volume/{tag}", usual, at_least=0.0) for tag, usual in _RATES.items()
+    )
+    fluid = kind.number_of("volume/fluid_fraction", 0.75, at_least=0.0, at_most=1.0)
+    if cytoplasm == 0.0 or (fluid > 0.0 and (water == 0.0 or fluid == 1.0)):
+        return 0.0
+    share = min(kind.number_of("volume/nuclear", 540.0, at_least=0.0) / kind.volume, 1.0)
+    share = share if nucleus > 0.0 else 0.0  # the rest grows without it
+    time = (1.0 - share) / cytoplasm
+    if share > 0.0:
+        time += share / nucleus
+    return 1.0 / (time + (fluid / ((1.0 - fluid) * water) if fluid > 0.0 else 0.0))
+
+
 def _sizes(lead: CellDefinition, cycle: Cycle) -> tuple[float, float]:
     """Return the volume at division, µm³, and over it the volume K to which cells grow.
 
-    PhysiCell's volumes go to a target at the rate r of the cytoplasm, V' = r (K - V), for the time
-    T in which they grow, and need not reach it. Where the target is doubled before division, cells
+    PhysiCell's volumes go to a target, here at one rate r, V' = r (K - V), for the time T in which
+    they grow, and need not reach it. Where the target is doubled before division, cells
     of the volume V₀ divide at V₀ (2 - exp(-r T)), with K V_d = 2 V₀. Where it is after division,
     they grow from half the volume V_d at division: with K V_d = V₀,
     V_d = V₀ (1 - exp(-r T)) / (1 - exp(-r T) / 2). They are those of mean phases.
     """
-    span = lead.number_of(f"volume/{_RATE}", 0.0045) * cycle.growing
+    span = _pace(lead) * cycle.growing
     span = min(max(span, _SLOWEST), _FASTEST)
     if cycle.model.doubles_before:
         share = 1.0 - 0.5 * math.exp(-span)
@@ -381,9 +407,9 @@ def _account_for(
         note = f"its mean; whether all cells take that long is as in '{lead.name}'"
         stated = [one for one, _, _ in stated_phases(element)]
         account.take_all(stated, Fate.APPROXIMATED, "responses.entry_into_*", note)
-    total, rate = kind.own("volume/total"), kind.own(f"volume/{_RATE}")
+    total = kind.own("volume/total")
     if lead is not None and divides and not math.isclose(kind.volume, lead.volume):
         note = "at the start; types share the volume at division"
         account.take(total, Fate.APPROXIMATED, "radius in cells.csv", note)
-    if lead is None:
-        account.take(rate, Fate.OFF)
+    for tag in _PARTS if lead is None else ():
+        account.take(kind.own(f"volume/{tag}"), Fate.OFF)

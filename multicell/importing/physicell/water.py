@@ -42,22 +42,22 @@ class DivisionRate(NamedTuple):
         return self.least + (self.most - self.least) / (1.0 + (self.half / volume) ** self.power)
 
 
-def rate_with_water(kind: CellDefinition, rate: float, chance: DivisionRate) -> float:
+def rate_with_water(kind: CellDefinition, chance: DivisionRate) -> float | None:
     """Return the rate r, 1/min, by which cells divide as often as PhysiCell's.
 
-    - ``rate``: of the solids of the cytoplasm, 1/min
     - ``chance``: of division, which rises with the volume
 
-    ``rate`` itself is returned where cells of PhysiCell have no water or nothing else, and where
-    they divide however small they are.
+    None where cells of PhysiCell have no water or nothing else, where their cytoplasm or their
+    water does not grow, and where they divide however small they are.
     """
     fluid = kind.number_of("volume/fluid_fraction", 0.75)
     change = kind.number_of("volume/fluid_change_rate", 0.05)
     nucleus = min(kind.number_of("volume/nuclear", 540.0), kind.volume)
+    rate = kind.number_of("volume/cytoplasmic_biomass_change_rate", 0.0045)
     drain, target = change * (1.0 - fluid), kind.volume
     most = float(chance.at(np.array([target]))[0])
-    if not (0.0 < fluid < 1.0 and drain > 0.0 and most > 0.0):
-        return rate
+    if not (0.0 < fluid < 1.0 and drain > 0.0 and rate > 0.0 and most > 0.0):
+        return None
     nuclear = kind.number_of("volume/nuclear_biomass_change_rate", 0.0055)
     solids = (
         ((1.0 - fluid) * nucleus, nuclear),
@@ -86,7 +86,7 @@ def rate_with_water(kind: CellDefinition, rate: float, chance: DivisionRate) -> 
 
     ends = 1e-6 / time, 1e3 / time
     if ours(ends[0]) >= 0.0 or ours(ends[1]) <= 0.0:
-        return rate
+        return None
     return brent_root(ours, *ends, rtol=1e-12, xtol=0.0)
 
 
