@@ -263,12 +263,15 @@ def test_a_pulse_that_cells_shield_each_other_from_kills_at_each_length_of_step(
     np.testing.assert_allclose(dead, dead[-1], rtol=0.05)
 
 
-def test_deaths_that_expose_others_in_the_same_step_are_in_the_reported_error():
-    fine = killed("1 min", seed=0)[0]
-    for step in ("10 min", "5 min"):
-        dead, reported = killed(step, seed=0)
-        assert abs(dead - fine) > 3  # more than the rates alone say, which is below one
-        assert 0.5 * abs(dead - fine) < reported < 5.0 * abs(dead - fine)
+@pytest.mark.parametrize("seed", [0, 2])
+def test_deaths_that_expose_others_in_the_same_step_are_not_missed(seed):
+    """With growth: what is left is where divisions at the ends of steps put cells, and reported."""
+    fine = killed("1 min", seed=seed)[0]
+    for step in ("10 min", "5 min"):  # with one correction a sixth to a quarter is missing
+        dead, reported = killed(step, seed=seed)
+        assert abs(dead - fine) < 0.08 * fine
+        assert abs(dead - fine) < 3.0 * reported + 1.0
+        assert reported < 8.0
 
 
 def test_a_dose_that_comes_and_goes_within_a_step_kills_at_once():
