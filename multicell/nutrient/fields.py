@@ -187,8 +187,18 @@ class FieldSystem:
             self._begin(group, cells, tissue, time)
             self._settle(group, cells, tissue, time)
 
-    def _settle(self, group: FieldGroup, cells: Cells, tissue: Tissue, time: float) -> None:
-        """Solve in turn for the steady fields of a circle that ends with this one."""
+    def _settle(
+        self,
+        group: FieldGroup,
+        cells: Cells,
+        tissue: Tissue,
+        time: float,
+        gone: IntArray | None = None,
+    ) -> None:
+        """Solve in turn for the steady fields of a circle that ends with this one.
+
+        - ``gone``: rows of cells that exchange nothing
+        """
         names = self._circles.get(group.names[-1], ())
         if not names or not self._resting.issuperset(names):
             return  # others depend on what the last step has left
@@ -197,6 +207,8 @@ class FieldSystem:
             for other in (one for one in self.groups if one.names[0] in names):
                 name = other.names[0]
                 before, demand = self.concentrations[name], self.demand(name, cells)
+                if gone is not None:
+                    demand = _parted({name: demand}, gone)[0][name]
                 self.reports |= other.solve(tissue, {name: demand}, time=time)
                 self.ledger[name].fill(self.fields[name].stored())
                 self._sample(name, other, cells, demand[0])
@@ -301,7 +313,7 @@ class FieldSystem:
             seen: list[tuple[float, list[FloatArray]]] = []
             group.watch = partial(self._follow, group, seen) if followed else None
             self._advance(group, cells, tissue, begin, end, began, shares, whole, leaving)
-            self._settle(group, cells, tissue, end)
+            self._settle(group, cells, tissue, end, None if leaving is None else leaving[0])
             for name in followed:
                 times = np.array([(time - begin) / (end - begin) for time, _ in seen])
                 values = np.stack([found[group.names.index(name)] for _, found in seen])

@@ -45,8 +45,8 @@ _SETTLED = 1e-3  # of a coupling step, to which the times of these are known the
 _SENSITIVE = 0.25
 """Part of the deaths that follow from others in the same step which hangs on its length.
 
-Divisions at its end put cells elsewhere: over five seeds of a pulse on growing cells 0.23 at 10 min,
-less at other lengths.
+Divisions at its end put cells elsewhere: over five seeds of a pulse on growing cells 0.23 at 10,
+less at 5 and 15 min.
 """
 
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
