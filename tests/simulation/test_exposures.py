@@ -11,6 +11,7 @@ from multicell.biology.plan import biology_plan
 from multicell.biology.responding import rate_of_harm
 from multicell.biology.states import deaths
 from multicell.cells import State
+from multicell.random import Purpose, thresholds
 from multicell.report.explain.scene import explain
 from multicell.scene.steps import StepPlan, step_plan
 
@@ -292,8 +293,6 @@ def test_a_dose_that_comes_and_goes_within_a_step_kills_at_once():
 def test_thresholds_are_exponential_and_belong_to_the_cell():
     from scipy import stats
 
-    from multicell.random import Purpose, thresholds
-
     ids = np.arange(20_000)
     found = thresholds(3, Purpose.NECROSIS, 0, ids)
     assert stats.kstest(found, "expon").pvalue > 1e-3
@@ -374,7 +373,9 @@ def test_what_kills_by_rate_and_at_once_is_noted_apart():
     cells, found = simulation.cells, simulation.concentrations
     dying = deaths(plan, cells, found, Exposure(cells, found, 100.0 * HOUR))
     assert np.isfinite(dying.necrosis).all()
-    np.testing.assert_allclose(dying.columns["necrosis_hazard"], 100.0)
+    # of the 100 of the whole time each cell has had its own until it died
+    own = thresholds(3, Purpose.NECROSIS, 0, cells.id)
+    np.testing.assert_allclose(dying.columns["necrosis_hazard"], own, rtol=1e-9)
     assert cells.necrosis_hazard is None
     np.testing.assert_allclose(rate_of_harm(plan, "necrosis rate", found, cells) * HOUR, 1.0)
 
