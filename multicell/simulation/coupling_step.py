@@ -8,7 +8,7 @@ are those of its own cells.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
@@ -388,7 +388,8 @@ def _settled(attempt: tuple[Any, ...], again: bool) -> tuple[_Tried, Any, int, i
     """
     run, state, _, _, timeline, *_ = attempt
     fields, dt = run.field_system, timeline.time - state.timeline.time
-    tried, until, moved = _attempt(*attempt), cast(Any, 1.0), 0
+    trial = cast("Callable[..., _Tried]", partial(_attempt, *attempt))
+    tried, until, moved = trial(), cast(Any, 1.0), 0
     died = np.count_nonzero(tried.decided.died)
     alone: Mapping[str, FloatArray] = {}
     for number in range(_MOST_PASSES + 1 if again else 0):
@@ -401,6 +402,6 @@ def _settled(attempt: tuple[Any, ...], again: bool) -> tuple[_Tried, Any, int, i
             break
         alone, until = alone or {x: fields.concentrations[x] for x in fields.steady}, lived
         fields.state = state.fields
-        tried = _attempt(*attempt, until=until, alone=alone)
+        tried = trial(until=until, alone=alone)
     missed = abs(int(np.count_nonzero(tried.decided.died)) - int(died))
     return tried, until, missed, moved
