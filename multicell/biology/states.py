@@ -148,7 +148,7 @@ def _end_with_death(
             found[column] = gained if before is None else before + gained
     for column, values in columns.items():
         there = found.get(column, getattr(some, column))
-        # what kills does so at a threshold, which rounding may just miss
+        # a threshold kills, which rounding may just miss
         full = column == "damage" and there >= 1.0 - 2.0 * ROUNDING
         values[rows] = np.where(full, 1.0, there)
 
