@@ -122,4 +122,3 @@ def test_walkers_of_the_measles_demo_infect_as_often_as_published(compare):
     compare.value(what, BETA, np.mean(found), 0.1 * BETA)
     peak = equations(start, steps, BETA, GAMMA)[1].max()
     compare.value("the same: most that are infected at once", peak, np.mean(most), 0.05 * peak)
-    print(found, most)
