@@ -1,4 +1,4 @@
-"""How far cells of two types have sorted out."""
+"""Sorting of cells of two types, by their contacts."""
 
 import numpy as np
 from scipy.spatial import Delaunay
