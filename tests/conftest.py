@@ -7,11 +7,19 @@ import os
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 os.environ.setdefault("NUMBA_NUM_THREADS", "2")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# processes import the package that the tests import, also where the current folder has another one,
+# for which numba would compile everything once more
+os.environ["PYTHONSAFEPATH"] = "1"
 
+import gc
 import subprocess
 
 import pytest
 from hypothesis import settings
+
+# modules and tests live until the end: to look through all of them for garbage, again and again
+# while they come, takes two fifths of the time
+gc.disable()
 
 # Two workers begin at the first test, with kernels of mechanics, and at the one in the middle, with
 # those of fields, so that they seldom compile the same. No long test comes last.
@@ -72,6 +80,13 @@ def pytest_collection_modifyitems(config, items):
         items[:] = [item for item in items if item not in timed]
     order = {name: place for place, name in enumerate(ROOMS)}
     items.sort(key=lambda item: order.get(item.path.parent.name, len(ROOMS)))
+
+
+def pytest_collection_finish():
+    # the collector leaves alone what is there now, and numba's types are many: it looks more seldom
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 50)
+    gc.enable()
 
 
 @pytest.hookimpl(tryfirst=True)
