@@ -132,6 +132,7 @@ def mixed(frame):
     return float((first != second).mean())
 
 
+@pytest.mark.slow
 def test_two_types_sort_or_mix_by_their_adhesion():
     scene = mc.load_scene("openvt-sorting").with_changes({"duration": "30 h"})
     last = []
