@@ -11,7 +11,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.networks.network import Network
 
-_LEARNT: Final = 3  # intervals: what a network does at first is not what it does later
+_LEARNT: Final = 3  # intervals, of which the last counts: a start from elsewhere takes more
 _ENOUGH: Final = 3000  # evaluations in Python, 0.1 s: then the rest is expected to be like it
 _SMALL: Final = 1e-3  # absolute tolerance over the relative one, of states near one
 
@@ -21,7 +21,7 @@ class _EnoughError(Exception):
 
 
 @lru_cache(maxsize=32)
-def evaluations(network: Network, length: float, tolerance: float) -> float:
+def network_evaluations(network: Network, length: float, tolerance: float) -> float:
     """Return how many evaluations of its rates an interval takes once the start has passed.
 
     SciPy's LSODA counts them in Python, which changes between methods for stiff and other equations

@@ -118,13 +118,15 @@ def network_cost(scene: Scene, name: str) -> tuple[float, float]:
     The cost is that of a mean cell of the scene: some types may have no such network. It is 0
     where nothing is known.
     """
-    from multicell.networks.expected import evaluations
+    from multicell.networks.expected import network_evaluations
 
     part = scene.networks[name]
     if part.step is not None:
         count = _STAGES * scene.coupling_step / part.step
     else:
-        count = evaluations(part.model, scene.coupling_step / part.seconds(), part.tolerance)
+        count = network_evaluations(
+            part.model, scene.coupling_step / part.seconds(), part.tolerance
+        )
     if math.isnan(count):
         return count, 0.0
     return count, (_NETWORK + _NETWORK_RATE * count) * _share(scene, part.cells)
