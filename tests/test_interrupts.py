@@ -81,6 +81,7 @@ class LateError(Exception):
 
 
 @pytest.mark.parametrize("method", ["auto", "cvode"])
+@pytest.mark.slow
 def test_handlers_that_raise_at_any_moment_leave_a_whole_state(method, handled):
     simulation = Simulation(SCENE.with_changes({"integrator.method": method}), threads=1)
     simulation.step()

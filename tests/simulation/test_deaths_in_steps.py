@@ -55,7 +55,7 @@ def test_damage_hazards_and_survivors_are_of_second_order(regime, growth):
     for column, true in ((0, damage), (1, hazard)):
         errors = np.abs(np.array(coarse)[:, column] / true - 1.0)
         assert errors[-1] < 4e-3
-        if errors.max() > 5e-4:  # else only the tolerance of the transient field is left
+        if errors.max() > 1e-3:  # else only the tolerance of the transient field is left
             assert np.polyfit(np.log(STEPS), np.log(errors), 1)[0] > 1.7
     assert abs(coarse[0][2] - dead) <= 2
     assert abs(coarse[-1][2] - dead) <= 1

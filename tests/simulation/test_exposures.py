@@ -116,6 +116,7 @@ def test_a_threshold_acts_for_as_long_as_the_signal_is_beyond_it(kind, step):
 
 @pytest.mark.parametrize("behaviour", ["necrosis rate", "apoptosis rate"])
 @pytest.mark.parametrize("kind", FIELDS)
+@pytest.mark.slow
 def test_the_same_cells_die_at_each_length_of_step(kind, behaviour):
     """Survivors are exp(-integral of the hazard), and each cell has one draw for all lengths."""
     rate = LAWS["hill"][1]
@@ -181,6 +182,7 @@ def test_all_that_is_scheduled_ends_a_step():
     assert simulation.step_index == simulation.steps == 18
 
 
+@pytest.mark.slow
 def test_runs_with_steps_of_several_lengths_are_resumed_and_prolonged_to_the_bit(tmp_path):
     responses = harm("hill", "0.5 1/h", "apoptosis rate", half="0.4 mM")
     scene = described(
@@ -257,6 +259,7 @@ def killed(step, **changes):
     return int(simulation.cells.dead.sum()), abs(simulation.exposures["error"])
 
 
+@pytest.mark.slow
 def test_a_pulse_that_cells_shield_each_other_from_kills_at_each_length_of_step():
     """Cells of one size; read at the ends of steps, 15 and 10 min let half of them live."""
     dead = [killed(f"{step} min", growth=None)[0] for step in (15, 10, 2.5, 1)]
@@ -265,6 +268,7 @@ def test_a_pulse_that_cells_shield_each_other_from_kills_at_each_length_of_step(
 
 
 @pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.slow
 def test_deaths_that_expose_others_in_the_same_step_are_not_missed(seed):
     """With growth: what is left is where divisions at the ends of steps put cells, and reported."""
     fine = killed("1 min", seed=seed)[0]

@@ -122,6 +122,7 @@ def test_monolayer_grows_by_the_euler_lotka_rate_and_linearly_if_inhibited(compa
 # --- cell sorting --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_two_types_sort_or_mix_by_their_adhesion():
     scene = mc.load_scene("openvt-sorting").with_changes({"duration": "30 h"})
     last = []

@@ -97,8 +97,9 @@ class LinearCourse:
 
 
 def is_linear(each: PlacedSubstance) -> bool:
-    """Whether a substance on a box has one coefficient of diffusion, and no cell takes it up."""
-    return isinstance(each.operator, Diffusion) and each.operator.varied is None and not each.taken
+    """Whether a substance on a box has one coefficient of diffusion, and gains linearly in time."""
+    own = each.operator
+    return isinstance(own, Diffusion) and own.varied is None and each.gains_linearly
 
 
 def _phi(z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

@@ -203,9 +203,13 @@ class PlacedSubstance:
         return np.asarray(self.at(level).brought() + self.supply(level))
 
     @property
-    def taken(self) -> bool:
-        """Whether cells take it up, now or in the course of the demand."""
-        return bool(self.sink.any() or (self._course is not None and self._course[2][0].any()))
+    def gains_linearly(self) -> bool:
+        """Whether nobody takes it up, and all that nodes gain changes linearly in time."""
+        sinks = [self.sink] if self._course is None else [self.sink, self._course[2][0]]
+        if self._leaving is not None:
+            _, _, _, capacity, production, _ = self._leaving
+            sinks += [capacity] if production is None else [capacity, production]
+        return not any(sink.any() for sink in sinks)
 
     def rate(self, c: FloatArray, t: float) -> tuple[FloatArray, FloatArray]:
         """Return dc/dt (mM/s) and what uptake and decay add to it for each mM less (1/s)."""
