@@ -47,8 +47,8 @@ _STEP: Final = 7e-4  # s of a coupling step whatever it holds
 _EVALUATION: Final = 5e-6  # s of an evaluation of all forces
 _CELL_EVALUATION: Final = 2.1e-7  # and for each cell: forces, lists, and a share of everything else
 _FRICTION: Final = 5.0  # times as much where cells rub: velocities are solved for
-_NETWORK: Final = 3e-7  # s of a network in a cell and step
-_NETWORK_RATE: Final = 3e-8  # and for each evaluation of its rates, with steps and linear algebra
+_NETWORK: Final = 1e-7  # s of a network in a cell and step
+_NETWORK_RATE: Final = 5e-9  # and for each evaluation and state, and one more, with linear algebra
 _STAGES: Final = 4.0  # evaluations of a step of a fixed length
 _FIELD: Final = 4e-4  # s of a field in a step
 _NODE_STEP: Final = 1.7e-7  # and for each node
@@ -129,7 +129,8 @@ def network_cost(scene: Scene, name: str) -> tuple[float, float]:
         )
     if math.isnan(count):
         return count, 0.0
-    return count, (_NETWORK + _NETWORK_RATE * count) * _share(scene, part.cells)
+    each = _NETWORK_RATE * (1 + len(part.model.states))
+    return count, (_NETWORK + each * count) * _share(scene, part.cells)
 
 
 def _share(scene: Scene, cells: str | None) -> float:

@@ -41,6 +41,7 @@ def network_words(scene: Scene, name: str) -> str:
     if not math.isnan(count):
         words.append(
             f"about {count:,.3g} evaluations a cell and coupling step, {1e6 * seconds:.2g} µs"
+            + (" without events" if model.events else "")
         )
     control = f"tolerance {part.tolerance:g}" if part.step is None else f"steps of {part.step:g} s"
     return "; ".join([*words, f"solved by {part.method}, {control}"])
