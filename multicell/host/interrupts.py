@@ -165,8 +165,10 @@ def watch_command() -> None:
             again = threading.Timer(0.02, _thread.interrupt_main)
             again.daemon = True
             raised_again.append(again)
-            again.start()
-            raised_again.clear()
+            try:
+                again.start()
+            finally:
+                raised_again.clear()
         else:
             sys.__unraisablehook__(found)
 

@@ -50,12 +50,12 @@ class LinearCourse:
     ) -> None:
         self.each, self.begin, self.last, self.length = each, begin, last, end - begin
         assert isinstance(each.operator, Diffusion)
-        first, final_ = each.gain(begin), each.gain(last)
+        before, after = each.gain(begin), each.gain(last)
         self.operator = each.operator
         transformed = self.operator.to_modes
-        change = None if np.array_equal(first, final_) else transformed(final_ - first)
+        change = None if np.array_equal(before, after) else transformed(after - before)
         self._modes = _Modes(
-            transformed(np.array(c.reshape(each.shape))), transformed(first), change
+            transformed(np.array(c.reshape(each.shape))), transformed(before), change
         )
         self._along, ay, az = self.operator.eigenvalues
         self._across = ay[:, None] + (az + each.linear)

@@ -191,7 +191,8 @@ def _is_linear(scene: Scene, name: str) -> bool:
     nutrient = scene.nutrients[name]
     plain = nutrient.diffusion_medium is None and nutrient.finite_medium is None
     cubes = nutrient.layout == "box" or scene.dimensions == 2
-    used = nutrient.takes_up or group_of(name, scene.reactions)
+    by_network = any(name in (part.fluxes or {}) for part in scene.networks.values())
+    used = nutrient.takes_up or by_network or group_of(name, scene.reactions)
     return plain and cubes and not used
 
 
