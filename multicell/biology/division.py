@@ -218,7 +218,7 @@ def change_types(
     threshold, and then becomes j by the share of k_j: a Markov chain. From then on it is exposed as
     a cell of that type, with a new threshold, and may change again in the same step.
 
-    - ``found``: to which those are added who change
+    - ``found``: list that the changes are added to
     """
     known = tuple(part for name in changing(plan.responses) for part in plan.responses[name])
     after, rows = cells.shared(), np.flatnonzero(~cells.dead)

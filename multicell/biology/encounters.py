@@ -1,10 +1,10 @@
-"""Neighbours that die or become another type within a step, as the cells that touch them find it.
+"""Neighbours that die or become another type within a step, as the cells that touch them find them.
 
 Signals that count neighbours are known at both ends of a step, for the states and types with which
-it began. Who dies or changes counts as what it is from that moment on, for each contact by what it
-is worth then: one that begins or ends within the step does so linearly. That lets others die or
-change, or at other times; a step is therefore repeated until nobody does. Nothing acts before its
-time, so that each pass is right up to one more event in a row than the one before.
+it began. Who dies or changes counts as it is from that moment on, in each contact by the part of it
+that there is then: one that begins or ends within the step does so linearly. That lets others die
+or change, or at other times; a step is therefore repeated until nobody does. Nothing acts before
+its time, so that each pass is right up to one more event in a row than the one before.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray, IntArray
 
 Respond = Callable[[Jumps | None], "tuple[Exposure, Decided]"]
-"""Jumps of signals in a step -> the exposure of cells to them, and what they decide."""
+"""Jumps of signals in a step -> the exposure of cells to them, and their decisions."""
 
 _SAME: float = 1e-9  # of a step, to which times agree that are the same
 
@@ -38,9 +38,9 @@ def with_encounters(
     first: int,
     most: int,
 ) -> tuple[Exposure, Decided, int]:
-    """Return a step in which cells find what their neighbours do within it.
+    """Return a step in which cells find the deaths and changes of their neighbours within it.
 
-    Also returns how many of them have not settled.
+    Also returns the number of these that have not settled.
 
     - ``contacts``, (m, 2) each: identities of cells that touched at both ends of the step
     - ``first``: identity of any first daughter
@@ -62,7 +62,7 @@ def with_encounters(
 
 
 def turns_of(plan: BiologyPlan, exposure: Exposure, decided: Decided, first: int) -> Turns:
-    """Return who has died or become another type in a step, in the order of its time.
+    """Return all deaths and changes of type in a step, in the order of their times.
 
     - ``first``: identity of any first daughter
     """
@@ -89,7 +89,7 @@ def _of_some(turns: Turns, which: Any) -> Turns:
 
 
 def _changed(before: Turns, after: Turns) -> int:
-    """Return how many turns of a pass are not those of the pass before."""
+    """Return the number of turns of a pass that are not those of the pass before."""
     most, both = max(len(before.row), len(after.row)), min(len(before.row), len(after.row))
     same = np.abs(before.part[:both] - after.part[:both]) <= _SAME
     for name in ("row", "becomes", "dies"):
@@ -98,11 +98,11 @@ def _changed(before: Turns, after: Turns) -> int:
 
 
 Pairs = tuple["IntArray", "IntArray", "FloatArray", "FloatArray"]
-"""Rows of cells and of neighbours, (k,), and how much of a contact they have at both ends."""
+"""Rows of cells and of neighbours, (k,), and the part of a contact they have at both ends."""
 
 
 def _pairs(exposure: Exposure, begin: IntArray, end: IntArray) -> Pairs:
-    """Return which cells touch at either end of a step, in both orders.
+    """Return the cells that touch at either end of a step, in both orders.
 
     Daughters share the contacts of their mothers at its begin: of two, each counts as a half.
     """
@@ -126,7 +126,7 @@ def _pairs(exposure: Exposure, begin: IntArray, end: IntArray) -> Pairs:
 
 
 def _matches(known: IntArray, wanted: IntArray) -> tuple[IntArray, IntArray]:
-    """Return all places at which values are among those known: which, (k,), and where, (k,)."""
+    """Return all pairs of equal values: places in ``wanted``, (k,), and in ``known``, (k,)."""
     order = np.argsort(known, kind="stable")
     low, high = (np.searchsorted(known[order], wanted, side) for side in ("left", "right"))
     which = np.repeat(np.arange(len(wanted)), high - low)
@@ -135,13 +135,13 @@ def _matches(known: IntArray, wanted: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _jumps(plan: BiologyPlan, exposure: Exposure, pairs: Pairs, turns: Turns) -> Jumps:
-    """Return by how much the counts of neighbours jump when these die or change."""
+    """Return the jumps of the counts of neighbours when these die or change."""
     cell, neighbour, begin, end = pairs
     turn, pair = _matches(neighbour, turns.row)
     order = np.lexsort((turns.part[turn], cell[pair]))
     turn, pair = turn[order], pair[order]
     column = cell[pair]
-    # the how-manieth of its cell each of them is
+    # the place of each among those of its cell
     slot = np.arange(len(column)) - np.searchsorted(column, column)
     shape = int(slot.max(initial=-1)) + 1, len(exposure.cells)
 
@@ -158,7 +158,7 @@ def _jumps(plan: BiologyPlan, exposure: Exposure, pairs: Pairs, turns: Turns) ->
 
 
 def _size(plan: BiologyPlan, name: str, turns: Turns) -> FloatArray:
-    """Return by how much each turn of a neighbour changes a count of neighbours, (k,)."""
+    """Return the change of a count of neighbours by each turn of one, (k,)."""
     if name == "neighbours":
         return -turns.dies.astype(float)
     if name == "dead neighbours":

@@ -69,11 +69,11 @@ class Jumps(NamedTuple):
         return Jumps(self.part[:, rows], first, last)
 
     def of_signals(self, names: Collection[str]) -> FloatArray | None:
-        """Return at which parts of the step any of the signals may jump, (m, n); None: at none."""
+        """Return the parts of the step at which any of the signals may jump, (m, n), or None."""
         return None if self.first.keys().isdisjoint(names) else self.part
 
     def sizes(self, name: str, part: Any, jumped: Any) -> FloatArray:
-        """Return by how much a signal has jumped at a part of the step, (n,).
+        """Return the sum of the jumps of a signal at a part of the step, (n,).
 
         - ``jumped``: part of the step until which jumps count
         """
@@ -90,7 +90,7 @@ class Exposure:
     - ``began``, ``before``: cells and signals at its beginning; absent: as at the end
     - ``inner``, name -> Course: what is known in between
     - ``held``: signals that jump at the end of the step, before which they were as at its beginning
-    - ``jumps``: of signals within it, by what neighbours do
+    - ``jumps``: of signals within it, by deaths and changes of neighbours
 
     - ``until``, (n,) or a number: part of the step after which nothing counts
     """
@@ -259,7 +259,7 @@ class Exposure:
         return np.unique(np.concatenate(times)) if times else _ENDS
 
     def _between_jumps(self, known: Known | tuple[Awaited]) -> Iterator[tuple[Any, Any]]:
-        """Yield begin and end, in parts of the step, of what all signals are linear in."""
+        """Yield begin and end, in parts of the step, of pieces in which all signals are linear."""
         jumps = None if self.jumps is None else self.jumps.of_signals(_needs(known))
         for low, high in pairwise(self._knots(known).tolist()):
             inside = () if jumps is None else np.clip(jumps, low, high)
