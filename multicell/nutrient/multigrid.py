@@ -75,10 +75,14 @@ class _Level:
         nx, ny, nz = map(len, self.shares)
         self.shape = (nx, ny, nz)
         self.weights: Triple | None = None
-        self.team, self.light = stencil.teams(team, nx * ny * nz)
+        self.join(team)
         # one block: of many arrays malloc returns more to the system, which has to clear it again
         arrays = np.empty((8, *self.shape), np.float32)
         self.rate, self.inverse, self.b, self.x, self.spare, *self.work = arrays
+
+    def join(self, team: Team) -> None:
+        """Take other threads."""
+        self.team, self.light = stencil.teams(team, math.prod(self.shape))
 
     def share(self, kernel: Callable[..., Any], *arguments: Any) -> None:
         """Run a kernel over the planes of this level."""
@@ -213,6 +217,12 @@ class MultigridSolver:
         self._q.fill(0.0)  # the first products are made of it too, before it is written
         self._r = self._finest.b
         self._parts = np.empty((2, shape[0]))
+
+    def begin(self, operator: Diffusion, team: Team) -> None:
+        """Count anew, with other threads and perhaps another distance of nodes."""
+        self.operator, self.newton, self.cg = operator, 0, 0
+        for level in self._hierarchy.levels:
+            level.join(team)
 
     def solve(self, rate: Floats, residual: Floats, size: float, goal: float) -> Float32Array:
         """Solve (-D L0 + rate) x = residual to ``goal``, a share of ``size``, the residual's norm.

@@ -79,6 +79,12 @@ MAX_SWEEPS = 1000  # over the nodes below zero; one to three are usual
 MULTIGRID_NODES = 50_000
 """Nodes from which on multigrid takes the place of transforms; see :mod:`.multigrid`."""
 
+KEPT_NODES = 1_000_000
+"""Nodes from which on the arrays of multigrid are kept for the next solve.
+
+The C library returns blocks above 32 MB to the system when they are free; what is smaller it keeps.
+"""
+
 UPTAKE_SHIFT = 1.0
 """The preconditioner's uniform uptake, relative to the mean of the linearised uptake."""
 
@@ -137,7 +143,12 @@ def solve_steady(
 
     with Team(max(1, min(operator.threads, nodes // stencil.PART))) as team:
         problem = _Problem(operator, sink, half_saturation, linear, supply, team, tolerance)
-        return _solve(problem, start, MultigridSolver(operator, team))
+        solver = operator.multigrid
+        if solver is None:
+            solver = MultigridSolver(operator, team)
+        operator.multigrid = solver if nodes >= KEPT_NODES else None
+        solver.begin(operator, team)
+        return _solve(problem, start, solver)
 
 
 def _solve(

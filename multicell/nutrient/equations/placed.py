@@ -154,6 +154,9 @@ class PlacedSubstance:
         if isinstance(layout, BoxLayout):
             operator = Diffusion(layout.box, p.diffusion, conditions, varied=varied)
             operator.threads = self._threads
+            before = getattr(self, "operator", None)
+            if isinstance(before, Diffusion):
+                operator.take_over(before)
         else:
             operator = Shells(layout.radius, layout.count, p.diffusion, conditions, varied=varied)
         # at once: what is interrupted must not leave one beside the others
