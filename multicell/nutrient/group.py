@@ -22,6 +22,7 @@ from multicell.nutrient.balance import BALANCE_COLUMNS, FADED, FieldExchange
 from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.equations.substance import Substance
 from multicell.nutrient.grid import Layout, relative_diffusion, tissue_share
+from multicell.nutrient.steady import BALANCE_TOLERANCE, ENOUGH
 from multicell.nutrient.tissue import reaching
 from multicell.scene.nutrient import OWN_SOLVERS
 from multicell.scene.reactions import groups
@@ -55,12 +56,14 @@ class FieldGroup:
     - ``state``: its values for py-pde's solvers, which ask for no more than ``data``, (m, ...) mM
     - ``info``: what py-pde's solver said of it; see ``pde.SolverBase``
     - ``watch``: called with time and values on the way of an :meth:`advance`; None: nobody looks
+    - ``tolerance``: of what :meth:`solve` brings to rest, see :func:`.steady.solve_steady`
     """
 
     layout: Layout
     position: FloatArray
     radius: FloatArray
     equation: FieldEquation
+    tolerance = BALANCE_TOLERANCE
 
     def __init__(
         self, fields: Mapping[str, NutrientField], kinetics: Kinetics | None = None
@@ -75,9 +78,15 @@ class FieldGroup:
         self.info: dict[str, Any] = {}
         self.watch: Callable[[float, FloatArray], None] | None = None
 
+    def settle_for_enough(self) -> None:
+        """Be no more exact at rest than the grid allows."""
+        self.tolerance = ENOUGH
+
     def solve(self, tissue: Tissue, demand: Demand, *, time: float) -> dict[str, FieldExchange]:
         """Bring the fields to rest with the cells' uptake and secretion."""
         self.begin(tissue, demand, time, carry=False)
+        for placed in self.equation.substances.values():
+            placed.tolerance = self.tolerance
         if self._outside is None:
             self._run("multicell-steady", time, time)
         else:
