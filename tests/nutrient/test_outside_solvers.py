@@ -190,6 +190,7 @@ def few(**more):
     return mc.load_scene("spheroid").with_changes(FEW | more)
 
 
+@pytest.mark.sample("transient")
 @pytest.mark.parametrize("regime", ["steady", "transient"])
 def test_a_run_by_another_solver_equals_the_default_within_its_error(regime):
     scene = few(**{"nutrients.oxygen.regime": regime, "nutrients.oxygen.time_tolerance": 1e-6})
