@@ -94,13 +94,16 @@ class FieldPrecision(Precision):
     def verdict(self, error: float = 0.01, norm: str | None = None) -> str:
         """Return in a sentence which solver reaches an error at the least cost, and by how much.
 
-        Where the step changes the fields by less than that, a hundredth of the change is judged.
+        Where the step changes the fields by less than that, about a hundredth of the change is
+        judged.
         """
         change = self.facts["change"][self.check_norm(norm)]
         if change > error:
             return super().verdict(error, norm)
         nothing = f"At {100.0 * error:g} % no solve is needed: the step changes fields by less."
-        return f"{nothing} {super().verdict(_SHARE * change, norm)}"
+        if change == 0.0:
+            return nothing
+        return f"{nothing} {super().verdict(10.0 ** math.floor(math.log10(_SHARE * change)), norm)}"
 
     def shown(self) -> tuple[str, dict[str, tuple[str, str]]]:
         """Return a note and the columns of the page's table of all solves."""
