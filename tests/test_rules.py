@@ -1,6 +1,7 @@
 """Rules for every test and every file, read from their source."""
 
 import ast
+import functools
 import importlib
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,6 +14,7 @@ FILES = sorted(TESTS.rglob("*.py"))
 CHECKS = ("assert_", "check_", "raises", "warns")
 
 
+@functools.cache
 def tree(path):
     return ast.parse(path.read_text(encoding="utf-8"))
 
@@ -146,6 +148,7 @@ def test_benchmarks_run_where_they_are_asked_for(asked, left, request):
     (own,) = (p for p in request.config.pluginmanager.get_plugins() if hasattr(p, "ROOMS"))
     gone = []
     config = SimpleNamespace(
+        args=[],
         option=SimpleNamespace(markexpr=asked),
         hook=SimpleNamespace(pytest_deselected=lambda items: gone.extend(items)),
     )
@@ -160,3 +163,26 @@ def test_benchmarks_run_where_they_are_asked_for(asked, left, request):
     items[0].nodeid += "[<function f at 0x7f0d7967f4c0>]"
     with pytest.raises(pytest.UsageError, match="an address in its name"):
         own.pytest_collection_modifyitems(config, items)
+
+
+def test_all_but_a_sample_is_slow(request):
+    """Misspelt parameters would make all of a test slow."""
+    (own,) = (p for p in request.config.pluginmanager.get_plugins() if hasattr(p, "ROOMS"))
+
+    def collected(*asked, node="tests"):
+        slow, items = [], []
+        for name in ("a", "b", "c"):
+            markers = {"sample": SimpleNamespace(args=asked)}
+            items.append(SimpleNamespace(
+                path=Path("tests/a.py"), nodeid=f"tests/a.py::test[{name}]",
+                get_closest_marker=markers.get, callspec=SimpleNamespace(id=name),
+                add_marker=lambda _, name=name: slow.append(name),
+            ))  # fmt: skip
+        option = SimpleNamespace(markexpr="benchmark")
+        own.pytest_collection_modifyitems(SimpleNamespace(args=[node], option=option), items)
+        return "".join(slow)
+
+    assert collected("a", "c") == "b"
+    with pytest.raises(pytest.UsageError, match=r"tests/a.py::test.*'d'"):
+        collected("a", "d")
+    assert collected("a", "d", node="tests/a.py::test[a]") == "bc"

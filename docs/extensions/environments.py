@@ -23,7 +23,7 @@ def asked(page: Path) -> list[str]:
 
 
 class Environments:
-    """What kernels of each page may not import."""
+    """Modules that are refused to kernels, by page."""
 
     def __init__(self, app: Sphinx) -> None:
         self.folder = tempfile.TemporaryDirectory(prefix="pages-", ignore_cleanup_errors=True)

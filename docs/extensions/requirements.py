@@ -1,11 +1,13 @@
-"""What a requirement brings, and processes that find nothing else.
+"""Packages that a requirement brings, and processes that find no others.
 
 Tests use it too, where there is no Sphinx.
 """
 
+import functools
 import importlib.metadata
 import os
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 
 from packaging.requirements import Requirement
@@ -78,9 +80,15 @@ def refused(requirements: list[str]) -> set[str]:
     brought = needed(requirements)
     return {
         module
-        for module, homes in importlib.metadata.packages_distributions().items()
+        for module, homes in _homes().items()
         if not {canonicalize_name(home) for home in homes} & brought
     } - {"multicell"}
+
+
+@functools.cache
+def _homes() -> Mapping[str, list[str]]:
+    """Return the distributions that each module comes with."""
+    return importlib.metadata.packages_distributions()
 
 
 def variables(folder: Path, modules: set[str]) -> dict[str, str]:

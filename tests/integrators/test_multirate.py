@@ -133,6 +133,7 @@ def test_after_a_division_it_meets_dop853_with_order_one(divided):
     assert np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(-1.0, abs=0.15)
 
 
+@pytest.mark.slow
 def test_one_division_among_many_cells_costs_less_than_with_equal_steps(divided):
     error, work = solved(MultirateEuler, divided, 1e-3)
     single, equal = solved(AdaptiveEuler, divided, 1e-3)

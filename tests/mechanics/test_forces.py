@@ -28,6 +28,14 @@ def system(law, radius, young, *, duration=10.0, rate=None, options=None, **moti
     return made
 
 
+@pytest.mark.sample(
+    "hertz-400",
+    "jkr-400",
+    "jkr that does not stick-400",
+    "sticky physicell-400",
+    "jkr-2",
+    "hertz-4106",
+)
 @pytest.mark.parametrize(
     ("name", "n"), [*((name, 400) for name in SAMPLES), ("jkr", 2), ("hertz", 2 * CHUNK + 10)]
 )
