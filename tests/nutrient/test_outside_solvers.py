@@ -193,7 +193,7 @@ def few(**more):
     return mc.load_scene("spheroid").with_changes(FEW | more)
 
 
-@pytest.mark.sample("transient")
+@pytest.mark.sample("explicit-0.001-transient")
 @pytest.mark.parametrize("regime", ["steady", "transient"])
 @pytest.mark.parametrize(("solver", "error"), [("runge-kutta", 1e-5), ("explicit", 1e-3)])
 def test_a_run_by_another_solver_equals_the_default_within_its_error(regime, solver, error):
