@@ -186,25 +186,15 @@ def write_imbalance(
     ``team``, whose threads share the planes, of each plane first.
     """
     planes = len(c)
-    block = planes if team is None else 1
-    parts = np.empty((3, planes // block))
-    (team or Team()).share(
-        imbalance_of_planes,
-        planes,
-        c,
-        sink,
-        source,
-        half,
-        stiffness,
-        linear,
-        ghost,
-        weights,
-        residual,
-        rate,
-        parts,
-        block,
-    )
-    squares, total, size = parts.sum(axis=1)
+    law = sink, source, half, stiffness, linear, ghost, weights
+    if team is None:
+        parts = np.empty((3, 1))
+        imbalance_of_planes(0, planes, c, *law, residual, rate, parts, planes)
+        squares, total, size = parts.ravel()
+    else:
+        parts = np.empty((3, planes))
+        team.share(imbalance_of_planes, planes, c, *law, residual, rate, parts, 1)
+        squares, total, size = parts.sum(axis=1)
     return float(squares), float(total), float(size)
 
 
