@@ -311,8 +311,9 @@ class FieldSystem:
             self.concentrations = {**self.concentrations, **found}
         # asked for only where networks exchange with fields
         whole = None if self._fluxes is None else np.broadcast_to(until, len(cells)) == 1.0
-        rows = np.flatnonzero(np.broadcast_to(until, len(cells)) < 1.0)
-        leaving = (rows, begin + until[rows] * (end - begin)) if rows.size else None
+        leaving = None
+        if np.ndim(until) and (rows := np.flatnonzero(until < 1.0)).size:
+            leaving = rows, begin + until[rows] * (end - begin)
         for group in self.groups:
             followed = [name for name in group.names if name in follow and name in self._marched]
             seen: list[tuple[float, list[FloatArray]]] = []

@@ -198,24 +198,13 @@ def write_imbalance(
     the planes, of each plane first.
     """
     planes = len(c)
-    block = planes if team is None else 1
-    parts = np.empty((5, planes // block))
-    (team or Team()).share(
-        imbalance_of_planes,
-        planes,
-        c,
-        sink,
-        source,
-        half,
-        stiffness,
-        linear,
-        ghost,
-        weights,
-        residual,
-        rate,
-        parts,
-        block,
-    )
+    law = sink, source, half, stiffness, linear, ghost, weights
+    if team is None:
+        parts = np.empty((5, 1))
+        imbalance_of_planes(0, planes, c, *law, residual, rate, parts, planes)
+    else:
+        parts = np.empty((5, planes))
+        team.share(imbalance_of_planes, planes, c, *law, residual, rate, parts, 1)
     squares, total, size, net, change = parts.sum(axis=1).tolist()
     return squares, total, size, net, change
 
