@@ -77,7 +77,9 @@ class _Loader:
             return
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("error")  # of values that numba cannot read
+                # Of values that it cannot read, and of nothing else: a press leaves the file of a
+                # module that is being read open, which Python would call an error then
+                warnings.simplefilter("error", UserWarning)
                 exec(code, module.__dict__)
             if vars(module)["NUMBA_NUM_THREADS"] < 1:  # numba would say so much later
                 raise ValueError("NUMBA_NUM_THREADS must be at least 1")
