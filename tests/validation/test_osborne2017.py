@@ -1,4 +1,4 @@
-"""The four case studies of Osborne et al. (2017), by overlapping spheres.
+"""Case studies of Osborne et al. (2017) by overlapping spheres: adhesion, a crypt, signals.
 
 All numbers are those of the authors' programs (github.com/Chaste/CellBasedComparison2017, tests
 ``TestNodeBased...``), in diameters and hours: springs of 50 between cells of one size, which their
@@ -25,7 +25,7 @@ GROWING = {"duration": "1 h"}  # of daughters, to the full size
 
 
 def tissue(cutoff=1.5, **parts):
-    """Return what all cases have in common: spheres in a plane, by springs of Chaste."""
+    """Return the parts that all cases share: spheres in a plane, by springs of Chaste."""
     return {
         "dimensions": 2, "cells": {"division_radius": DIAMETER / 2, "young": "20 kPa"},
         "contact": {
