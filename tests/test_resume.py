@@ -302,6 +302,7 @@ def frames_read(folder, count, monkeypatch):
     return len(read)
 
 
+@pytest.mark.slow
 def test_the_cost_of_a_resume_is_linear_in_the_frames(tmp_path, monkeypatch):
     few, many = (frames_read(tmp_path / str(n), n, monkeypatch) for n in (10, 40))
     assert few > 10

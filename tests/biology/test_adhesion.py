@@ -66,6 +66,7 @@ def test_ligands_that_ramp_to_zero_within_one_step():
     assert (cells.receptor == 0.9).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "step"), [(Cvode(1e-8, 1e-7), 2.0), (Cvode(1e-8, 1e-7), 0.5), (Euler(0.0005), 2.0)]
 )

@@ -267,6 +267,7 @@ def test_too_few_points_tell_a_best_one_and_no_intervals():
     assert found.summary()["parameters"]["toy.p0"]["interval"] is None
 
 
+@pytest.mark.slow
 def test_the_command_fits_and_says_what_is_open(tmp_path):
     (tmp_path / "growth.csv").write_text("time / h, cells\n10, 7\n20, 9\n")
     arguments = [

@@ -95,6 +95,7 @@ def test_workers_in_a_hostile_folder_run_nothing_of_it(hostile):
     assert not (hostile / "RAN").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="folders have no owners here")
 def test_compiled_code_is_kept_where_nobody_else_can_put_some(tmp_path):
     shared = tmp_path / "shared"

@@ -152,6 +152,7 @@ def spring_scene(**parts):
     })  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", [pytest.param(0.25, marks=pytest.mark.slow), 0.5])
 def test_variance_in_a_harmonic_spring(part):
     """D γ / k of a cell between held ones, 2 k from two sides, by (2 / κh) tanh(κh / 2).

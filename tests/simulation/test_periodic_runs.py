@@ -108,6 +108,7 @@ def test_lengths_that_need_a_centre_do_not_exist():
     assert "wall_pressure" not in summary
 
 
+@pytest.mark.slow
 def test_a_result_can_be_drawn_and_exported(tmp_path):
     pytest.importorskip("matplotlib")
     scene = scene_of("xyz", motility={"force": "40 nN"}, duration="6 h", types={"a": {}, "b": {}})
