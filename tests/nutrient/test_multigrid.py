@@ -186,7 +186,19 @@ def test_the_imbalance_by_planes_is_that_of_all_nodes():
         for share in (None, team):
             residual, rate = np.empty(op.shape), np.empty(op.shape)
             sums = stencil.write_imbalance(
-                c, sink, source, 0.1, op.stiffness, 0.2, op.ghost, None, residual, rate, share
+                c,
+                sink,
+                source,
+                0.1,
+                op.stiffness,
+                0.2,
+                op.ghost,
+                None,
+                None,
+                0.0,
+                residual,
+                rate,
+                share,
             )
             found.append((sums, residual, rate))
     (whole, *arrays), (planes, *others) = found
