@@ -5,7 +5,7 @@ Problem   spheroids of 2,500, 5,000 and 10,000 cells in wells of still medium, f
 Data      docs/data/wm983b-5000.csv (Browning et al., eLife 10, 2021, e73020), one row a spheroid
 Model     the scene `wm983b` with cells of twice the diameter (`multicell.coarsen`)
 Fitted    eight parameters to the means of 5,000 cells; deviations are those of single spheroids
-Beside    Greenspan's model (docs/greenspan.py), five parameters, the same data and likelihood
+Beside    Greenspan's model (docs/programs/greenspan.py), five parameters, same data and likelihood
 Command   python docs/wm983b.py --fit                 the fit, kept in docs/data/wm983b-fit.json
           python docs/wm983b.py --predict 2500 10000  from what is kept (--json for programs)
           python docs/wm983b.py                       tables and the picture, from what is kept
@@ -18,13 +18,13 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-import greenspan
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -32,9 +32,11 @@ from numpy.typing import NDArray
 import multicell as mc
 from multicell.report.plots.style import BLUE, QUIET, RED, save_figure, styled
 
-Array = NDArray[np.float64]
-
 HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE / "programs"))
+import greenspan  # noqa: E402
+
+Array = NDArray[np.float64]
 KEPT = HERE / "data" / "wm983b-fit.json"
 FITTED = 5000
 COARSE = 2

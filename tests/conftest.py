@@ -16,8 +16,8 @@ from hypothesis import settings
 # Two workers begin at the first test, with kernels of mechanics, and at the one in the middle, with
 # those of fields, so that they seldom compile the same. No long test comes last.
 ROOMS = ("contact", "mechanics", "integrators", "biology", "comparison", "calibration",
-         "studies", "docs", "examples", "nutrient", "tests", "results", "cli", "report",
-         "scene")  # fmt: skip
+         "studies", "docs", "examples", "validation", "nutrient", "tests", "results", "cli",
+         "report", "scene")  # fmt: skip
 
 # the first example of a test may have to compile a kernel; the same examples every time,
 # so that a failure can be seen again
@@ -30,7 +30,7 @@ def pytest_addoption(parser):
     group.addoption("--scenes", type=int, default=80, help="scenes drawn and loaded")
     group.addoption("--runs", type=int, default=8, help="small scenes drawn and run")
     group.addoption("--draws", type=int, default=8, help="scenes with parts and methods")
-    group.addoption("--first-seed", type=int, default=0, help="of the scenes; others each time")
+    group.addoption("--first-seed", type=int, default=0, help="of what is drawn; others each time")
     group.addoption("--kills", type=int, default=2, help="runs that are killed")
     group.addoption("--full-disks", type=int, default=2, help="runs on a disk that gets full")
     group.addoption("--damages", type=int, default=6, help="folders of each kind that are damaged")

@@ -1,6 +1,7 @@
 """Ctrl-C and other signals at any moment: no crash, no traceback, nothing lost.
 
-``pytest -m harness tests/test_interrupts.py --interrupts 200`` tries as many as asked.
+``pytest -m harness tests/test_interrupts.py --interrupts 200`` tries as many as asked, from the
+case ``--first-seed`` on.
 """
 
 import contextlib
@@ -332,7 +333,7 @@ def press():
 
 def new_file(path):
     if WANTED in path.name and next(left) == 0:
-        threading.Thread(target=press).start()
+        threading.Thread(target=press, daemon=True).start()
     return usual(path)
 
 draw, left, usual = random.Random(CASE), iter(range(NUMBER, -1 << 30, -1)), folder.new_file
@@ -491,8 +492,8 @@ def _read_back(folder):
 @pytest.mark.harness
 @pytest.mark.slow
 def test_interrupts_at_any_moment_end_in_one_word(tmp_path, request):
-    found = []
-    for case in range(request.config.getoption("--interrupts")):
+    found, first = [], request.config.getoption("--first-seed")
+    for case in range(first, first + request.config.getoption("--interrupts")):
         rng = random.Random(case)
         folder = tmp_path / str(case)
         folder.mkdir()

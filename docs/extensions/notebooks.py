@@ -1,7 +1,11 @@
 """Tutorials as notebooks: each executed page of ``tutorials/`` can be downloaded and run.
 
-A notebook holds the words and the programs of its page, without what only Sphinx understands. It
-needs the package in its kernel, and nothing of the documentation's folder.
+A notebook holds the words and the programs of its page, without what only Sphinx understands and
+without links to other pages, which do not come with it. It needs the packages that its page names,
+any program that opens notebooks, and nothing of the documentation's folder.
+
+A cell that only shows a picture is tagged ``remove-input`` and is code of the notebook. One that
+puts a picture elsewhere on the page is tagged ``remove-cell`` and is not.
 """
 
 import re
@@ -14,8 +18,23 @@ from sphinx.application import Sphinx
 FOLDER = "notebooks"  # beside the pages; not part of the repository
 _FENCE = re.compile(r"^(`{3,}|:{3,})\{[^\n]*\n.*?^\1\s*$", re.DOTALL | re.MULTILINE)
 _COMMENT = re.compile(r"^(%|\([\w-]+\)=).*\n?", re.MULTILINE)
-_GLUE = re.compile(r'^glue\("[^"]+", (.+), display=False\)$', re.MULTILINE)
 _ROLE = re.compile(r"\{[\w:]+\}`(?:([^`<]+?)\s*<[^`>]+>|~?([^`]+))`")
+_TITLE = re.compile(r"^(# .+)$", re.MULTILINE)
+_LINK = re.compile(r"\[((?:[^\[\]]|\[[^\]]*\])+)\]\((?!https?:)[^)]+\)")
+
+
+_OWN = {"paraview-pandas-scanpy": '".[export]" scanpy'}
+
+
+def environment(page: Path) -> str:
+    """Return what ``pip install`` takes, in the package's folder, for a page to run."""
+    return _OWN.get(page.stem, '".[study]"')
+
+
+def _needs(page: Path) -> str:
+    """Return the sentence on what a notebook needs."""
+    packages = f"`pip install {environment(page)} jupyterlab`"
+    return f"It runs in any folder, with {packages} in the folder of multicell."
 
 
 def tutorials(source: Path) -> list[Path]:
@@ -27,25 +46,31 @@ def tutorials(source: Path) -> list[Path]:
 def notebook(page: Path) -> nbformat.NotebookNode:
     """Return a page as a notebook."""
     book = read_myst_markdown_notebook(page.read_text("utf-8"), path=page)
+    book.cells = [cell for cell in book.cells if "remove-cell" not in cell.metadata.get("tags", [])]
     for cell in book.cells:
         if cell.cell_type == "markdown":
             cell.source = plain(cell.source)
-        else:  # what a page shows elsewhere is shown where it is made
-            cell.source = _GLUE.sub(r"\1", cell.source.replace("from myst_nb import glue\n", ""))
     book.cells = [cell for cell in book.cells if cell.source.strip()]
+    needs = f"*This page is a notebook. {_needs(page)}*"
+    book.cells[0].source = _TITLE.sub(rf"\1\n\n{needs}", book.cells[0].source, count=1)
     book.metadata.kernelspec = {"display_name": "Python 3", "language": "python", "name": "python3"}
     for number, cell in enumerate(book.cells):  # the same page is the same file
         cell["id"] = f"cell-{number}"
-        cell.metadata = nbformat.from_dict({"tags": cell.metadata.get("tags", [])})
+        tags = [tag for tag in cell.metadata.get("tags", []) if tag == "raises-exception"]
+        cell.metadata = nbformat.from_dict({"tags": tags} if tags else {})
     book.nbformat, book.nbformat_minor = 4, 5
     nbformat.validate(book)
     return book
 
 
 def plain(text: str) -> str:
-    """Return Markdown without directives, comments and targets; roles become code."""
+    """Return Markdown without directives, comments, targets and links to pages.
+
+    Roles become code, and such links their words.
+    """
     text = _COMMENT.sub("", _FENCE.sub("", text))
-    return _ROLE.sub(lambda found: f"`{found[1] or found[2]}`", text)
+    text = _ROLE.sub(lambda found: f"`{found[1] or found[2]}`", text)
+    return _LINK.sub(r"\1", text)
 
 
 def write_all(app: Sphinx) -> None:
@@ -59,8 +84,11 @@ def write_all(app: Sphinx) -> None:
 def link(app: Sphinx, name: str, source: list[str]) -> None:
     """Put a link to the notebook below the title of a tutorial."""
     if name in {f"tutorials/{page.stem}" for page in tutorials(Path(app.srcdir))}:
-        words = f"{{download}}`Download as a notebook </{FOLDER}/{Path(name).name}.ipynb>`"
-        source[0] = re.sub(r"(?m)^(# .+)$", rf"\1\n\n{words}", source[0], count=1)
+        page = Path(name)
+        words = (
+            f"{{download}}`Download as a notebook </{FOLDER}/{page.name}.ipynb>`. {_needs(page)}"
+        )
+        source[0] = _TITLE.sub(rf"\1\n\n{words}", source[0], count=1)
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

@@ -73,7 +73,7 @@ def sensitivity_command(
     take the runs that are there.
     """
     pairs = studies.key_values(free, "--free")
-    from multicell.calibration.sensitivity import plan_sensitivity, run_sensitivity_plan
+    from multicell.calibration.sensitivity.analysis import plan_sensitivity, run_sensitivity_plan
 
     plan = plan_sensitivity(
         scene, pairs, method=method, observables=observables or None, size=size, seeds=seeds
@@ -138,7 +138,7 @@ def dose_response_command(
     if scene is not None and len(pairs) not in (1, 2):
         raise click.UsageError(f"--dose is given {len(pairs)} times, must be once or twice.")
     described = None if scene is None else shared.scene_of(scene, changes, law)
-    from multicell.calibration.dose_response import (
+    from multicell.calibration.dose_response.analysis import (
         LIVING,
         of_table,
         plan_dose_response,

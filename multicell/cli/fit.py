@@ -18,8 +18,8 @@ from multicell.cli.progress import display
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from multicell.calibration.fit_plan import FitPlan
-    from multicell.calibration.fitted import Fit
+    from multicell.calibration.fitting.fitted import Fit
+    from multicell.calibration.fitting.plan import FitPlan
     from multicell.scene.scene import Scene
 
 
@@ -86,7 +86,7 @@ def fit_command(
     was stopped continues with the same command; a larger --budget adds to it.
     """
     pairs = studies.key_values(free, "--free")
-    from multicell.calibration.fit import plan_fit, run_fit_plan
+    from multicell.calibration.fitting.fit import plan_fit, run_fit_plan
 
     plan = plan_fit(scene, data, pairs, **options)
     if plan.table.said and not quiet:
@@ -129,7 +129,7 @@ def _cost(plan: FitPlan, folder: Path | None, cores: int | None) -> Any:
 
 
 def _print(out: Console, found: Fit, output: Path) -> None:
-    from multicell.calibration.fit_page import parameters_in_words
+    from multicell.calibration.fitting.page import parameters_in_words
 
     if found.misfit:
         out.print(escape_markup(found.misfit), style="yellow")
@@ -158,8 +158,8 @@ def profile_command(
 
     An end of an interval that the searched range does not hold is not bounded by the data.
     """
-    from multicell.calibration.stored import load_fit
-    from multicell.calibration.verdict import value_in_words
+    from multicell.calibration.fitting.stored import load_fit
+    from multicell.calibration.shared.wording import value_in_words
     from multicell.report.plots.style import save_figure
 
     if output is not None:

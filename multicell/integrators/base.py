@@ -185,7 +185,7 @@ class MethodInfo:
     atol : float, µm
         Absolute tolerance where a scene, or a caller of the class, names none: a class with
         another one than usual has ``atol: float = info.atol``. What it means for single cells is
-        measured by ``docs/tolerances.py``.
+        measured by ``docs/programs/tolerances.py``.
     most_cells : int or None
         Most cells that it holds; None for any number.
     why_no_more : str

@@ -7,7 +7,7 @@ Problem   coupling steps of each built-in scene that moves cells, of scenes know
 Error     as in the tiles of docs/which-integrator.md: root mean square distance of the cells from
           the reference, over that of the motion that the best dilation leaves
 Question  CPU time of `auto` over that of the best method, at errors of 1 % and 0.1 %, each at the
-          tolerance of one ladder that is cheapest (docs/tile_race.py); what null methods leave
+          tolerance of one ladder that is cheapest (tile_race.py); what null methods leave
 Floor     the same ratio for a choice that knows which method was best in the step beside: each
           step is solved with the one that follows it. No rule that judges a step by its state can
           be expected to be nearer to the best method, which is found by trying
@@ -30,7 +30,7 @@ from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "docs"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "docs" / "programs"))
 
 from tile_problems import Solved, Tile, reference
 from tile_race import REACHED, race

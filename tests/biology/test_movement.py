@@ -33,31 +33,6 @@ def free(**changes):
                                                   changes.items()})  # fmt: skip
 
 
-@pytest.mark.parametrize("dimensions", [2, 3])
-def test_mean_square_displacement_of_the_persistent_walk(dimensions):
-    """Directions last for τ, with a random phase: <v(0) v(t)> = v² (1 - t/τ) up to τ, then 0."""
-    persistence, force, count = 1200.0, 2.0, 2000
-    scene = free(
-        dimensions=dimensions,
-        initial__count=count,
-        motility__force=force,
-        motility__persistence=persistence,
-    )
-    frames = mc.run(scene).frames
-    speed = force / (6 * np.pi * 5.0 * RADIUS)
-    start = frames[0].cells
-    home = start.position[np.argsort(start.id)]
-    for frame in frames[1:]:
-        t = frame.time
-        moved = np.square(frame.cells.position[np.argsort(frame.cells.id)] - home).sum(axis=1)
-        if t < persistence:
-            exact = speed**2 * (t**2 - t**3 / (3 * persistence))
-        else:
-            exact = speed**2 * persistence * (t - persistence / 3)
-        error = moved.std() / np.sqrt(count)
-        assert moved.mean() == pytest.approx(exact, abs=4 * error + 1e-9 * exact)
-
-
 def test_drift_along_a_gradient_is_force_over_drag():
     """A field between two sides has a constant gradient g: v = F g / (g + half) / (6πηr)."""
     sides = {

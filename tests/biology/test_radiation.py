@@ -9,7 +9,7 @@ from running import finished, refused, within
 from multicell.biology.initial import initial_cells
 from multicell.biology.plan import biology_plan
 from multicell.biology.states import irradiate
-from multicell.cells import Phase, State
+from multicell.cells import Phase
 from multicell.errors import DataError
 from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
@@ -37,33 +37,6 @@ def growing(course=None, count=300, **parts):
 
 def clonogens(simulation):
     return int(simulation.history_row()["clonogens"])
-
-
-@pytest.mark.parametrize(("dose", "beta"), [(0.0, 0.05), (2.0, 0.0), (2.0, 0.05), (6.0, 0.05)])
-def test_survivors_are_those_of_the_linear_quadratic_model(dose, beta):
-    simulation = Simulation(described(20000, {"dose": dose, "beta": beta}))
-    chance = np.exp(-0.3 * dose - beta * dose**2)
-    assert within(clonogens(simulation), 20000, chance)
-    dead = simulation.cells.state == State.APOPTOTIC
-    assert dead.sum() == 20000 - clonogens(simulation)
-    died = simulation.lineage.rows("deaths", 0)
-    np.testing.assert_array_equal(died["id"], np.sort(simulation.cells.id[dead]))
-    assert (died["time"] == 0.0).all()
-
-
-@pytest.mark.parametrize("pressure", [0.3, 3.0, 60.0])
-def test_cells_without_oxygen_survive_by_alper_and_howard_flanders(pressure):
-    """In a field that is the same everywhere, given as a partial pressure in mmHg."""
-    field = {"boundary": f"{pressure} mmHg", "uptake": 0.0, "spacing": 10.0}
-    course = {"dose": "4 Gy", "oxygen": "oxygen", "oer": 2.8, "half_oxygen": "2.5 mmHg"}
-    scene = described(4000, course, initial={"count": 4000}, nutrients={"oxygen": field})
-    ratio = (2.8 * pressure + 2.5) / (pressure + 2.5)
-    dose = 4.0 * ratio / 2.8
-    chance = np.exp(-0.3 * dose - 0.03 * dose**2)
-    law, kpa = scene.radiation["course"], pressure * 0.133322387415
-    assert law.survival(kpa) == pytest.approx(chance, rel=1e-12)
-    assert law.survival() < law.survival(kpa) < law.survival(0.0)
-    assert within(clonogens(Simulation(scene)), 4000, chance)
 
 
 def test_fractions_without_growth_multiply():

@@ -13,13 +13,13 @@ import pytest
 from cheap_fits import CASES, check, growing, through
 
 import multicell as mc
-from multicell.calibration.indices import sample, sensitivity_indices
-from multicell.calibration.likelihood import fresh, likelihood, scatter_of
-from multicell.calibration.pool import Pool
-from multicell.calibration.problem import FitProblem, ranges_of
-from multicell.calibration.search import Search
-from multicell.calibration.simulator import SceneSimulator
-from multicell.calibration.verdict import intervals
+from multicell.calibration.fitting.likelihood import fresh, likelihood, scatter_of
+from multicell.calibration.fitting.pool import Pool
+from multicell.calibration.fitting.problem import FitProblem, ranges_of
+from multicell.calibration.fitting.search import Search
+from multicell.calibration.fitting.simulator import SceneSimulator
+from multicell.calibration.fitting.verdict import intervals
+from multicell.calibration.sensitivity.indices import sample, sensitivity_indices
 from multicell.measured.data import read_data
 from multicell.measured.noise import Noise
 

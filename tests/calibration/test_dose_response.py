@@ -10,9 +10,9 @@ from click.testing import CliRunner
 from scipy.optimize import curve_fit
 
 import multicell as mc
-from multicell.calibration import dose_response as room
-from multicell.calibration.dose_curve import dose_at, draw_means, fit_curve, hill
-from multicell.calibration.dose_response import plan_dose_response
+from multicell.calibration.dose_response import analysis as room
+from multicell.calibration.dose_response.analysis import plan_dose_response
+from multicell.calibration.dose_response.curve import dose_at, draw_means, fit_curve, hill
 from multicell.cli.main import main
 from multicell.errors import DataError, FitFailed, SceneError
 

@@ -15,13 +15,13 @@ from cheap_fits import MATRIX, calls_of, fitted, linear, stopping
 from click.testing import CliRunner
 
 import multicell as mc
-from multicell.calibration.fit import plan_fit
-from multicell.calibration.likelihood import _check, scatter_of
-from multicell.calibration.pool import Pool
-from multicell.calibration.problem import ranges_of
-from multicell.calibration.search import Search
-from multicell.calibration.simulator import SceneSimulator, reading
-from multicell.calibration.verdict import intervals, undetermined
+from multicell.calibration.fitting.fit import plan_fit
+from multicell.calibration.fitting.likelihood import _check, scatter_of
+from multicell.calibration.fitting.pool import Pool
+from multicell.calibration.fitting.problem import ranges_of
+from multicell.calibration.fitting.search import Search
+from multicell.calibration.fitting.simulator import SceneSimulator, reading
+from multicell.calibration.fitting.verdict import intervals, undetermined
 from multicell.cli.main import main
 from multicell.errors import ClusterError, FitFailed
 from multicell.measured.data import Datum, read_data

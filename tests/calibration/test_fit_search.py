@@ -20,17 +20,17 @@ from cheap_fits import (
 )
 from scipy import stats
 
-from multicell.calibration.emulator import draws, emulator
-from multicell.calibration.pool import Pool
-from multicell.calibration.priors import Prior
-from multicell.calibration.problem import (
+from multicell.calibration.fitting.emulator import draws, emulator
+from multicell.calibration.fitting.pool import Pool
+from multicell.calibration.fitting.priors import Prior
+from multicell.calibration.fitting.problem import (
     ABSENT_DEVIATIONS,
     FitProblem,
     groups_of,
     misfit,
 )
-from multicell.calibration.search import Search
-from multicell.calibration.simulator import Reading
+from multicell.calibration.fitting.search import Search
+from multicell.calibration.fitting.simulator import Reading
 from multicell.errors import FitFailed
 from multicell.measured.noise import Noise
 

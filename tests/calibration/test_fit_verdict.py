@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from cheap_fits import SCENE, Growing, fitted, growing, linear, measured
 
-from multicell.calibration.fit_plan import FitPlan, make_runs
-from multicell.calibration.pool import Pool
-from multicell.calibration.problem import FitProblem
-from multicell.calibration.simulator import Reading
+from multicell.calibration.fitting.plan import FitPlan, make_runs
+from multicell.calibration.fitting.pool import Pool
+from multicell.calibration.fitting.problem import FitProblem
+from multicell.calibration.fitting.simulator import Reading
 from multicell.studies.axes import Range
 
 

@@ -5,8 +5,8 @@ from concurrent.futures import Future
 import pytest
 from cheap_fits import MATRIX, calls_of, linear
 
-from multicell.calibration.pool import Pool, future_result, open_pool
-from multicell.calibration.search import Search
+from multicell.calibration.fitting.pool import Pool, future_result, open_pool
+from multicell.calibration.fitting.search import Search
 from multicell.errors import ClusterError, FitFailed
 
 

@@ -11,7 +11,7 @@ from cheap_fits import MATRIX, Growing, exact, fitted, growing, linear
 from scipy import stats
 
 import multicell as mc
-from multicell.calibration.predictive import Predictive
+from multicell.calibration.fitting.predictive import Predictive
 
 VALUES = [0.45, 0.6, 1.0, -0.2]
 

@@ -11,14 +11,14 @@ from cheap_fits import MATRIX, exact, linear
 from scipy import integrate, stats
 
 import multicell as mc
-from multicell.calibration.emulator import best_of, draws
-from multicell.calibration.fit import plan_fit
-from multicell.calibration.pool import Pool
-from multicell.calibration.priors import Density, Prior, values_at
-from multicell.calibration.problem import free_of
-from multicell.calibration.search import Search
-from multicell.calibration.simulator import SceneSimulator
-from multicell.calibration.verdict import undetermined
+from multicell.calibration.fitting.emulator import best_of, draws
+from multicell.calibration.fitting.fit import plan_fit
+from multicell.calibration.fitting.pool import Pool
+from multicell.calibration.fitting.priors import Density, Prior, values_at
+from multicell.calibration.fitting.problem import free_of
+from multicell.calibration.fitting.search import Search
+from multicell.calibration.fitting.simulator import SceneSimulator
+from multicell.calibration.fitting.verdict import undetermined
 from multicell.measured.data import read_data
 
 SCENE = mc.load_scene("growth").with_changes(

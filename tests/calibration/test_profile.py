@@ -12,10 +12,10 @@ from click.testing import CliRunner
 from scipy import stats
 
 import multicell as mc
-from multicell.calibration.likelihood import fresh
-from multicell.calibration.pool import Pool
-from multicell.calibration.profile import _profile
-from multicell.calibration.search import Search
+from multicell.calibration.fitting.likelihood import fresh
+from multicell.calibration.fitting.pool import Pool
+from multicell.calibration.fitting.profile import _profile
+from multicell.calibration.fitting.search import Search
 from multicell.cli.main import main
 from multicell.errors import SceneError
 from multicell.studies.axes import Range
@@ -99,7 +99,7 @@ def fit():
     search = Search(problem, None)
     tried = search.run(Pool(), 30)
     again = fresh(problem, search, Pool())
-    from multicell.calibration.fitted import Fit
+    from multicell.calibration.fitting.fitted import Fit
 
     return Fit(problem, scene, tried, None, {"sd": 0.1}, again, search.readings)
 
@@ -117,7 +117,7 @@ def test_a_fit_has_profiles_by_name_or_key(fit):
 
 
 def test_the_command_prints_intervals_and_draws(fit, tmp_path, monkeypatch):
-    monkeypatch.setattr("multicell.calibration.stored.load_fit", lambda folder: fit)
+    monkeypatch.setattr("multicell.calibration.fitting.stored.load_fit", lambda folder: fit)
     picture = tmp_path / "p.png"
     done = CliRunner().invoke(main, ["profile", "fit", "-o", str(picture), "--json"])
     assert done.exit_code == 0, done.output

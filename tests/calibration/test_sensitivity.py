@@ -12,8 +12,8 @@ from click.testing import CliRunner
 from studied import in_this_process
 
 import multicell as mc
-from multicell.calibration.indices import sample, sensitivity_indices
-from multicell.calibration.sensitivity import plan_sensitivity, sample_sensitivity
+from multicell.calibration.sensitivity.analysis import plan_sensitivity, sample_sensitivity
+from multicell.calibration.sensitivity.indices import sample, sensitivity_indices
 from multicell.cli.main import main
 from multicell.errors import OutputError, SceneError
 from multicell.studies import engine
@@ -357,13 +357,13 @@ def test_numbers_are_those_of_this_analysis_with_and_without_a_page(tmp_path, he
 
 
 def test_numbers_are_there_before_a_page_that_cannot_be_written(tmp_path, here, monkeypatch):
-    from multicell.calibration import sensitivity_page
+    from multicell.calibration.sensitivity import page
 
     def full(*_):
         raise OutputError("cannot write: No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(sensitivity_page, "write_sensitivity_report", full)
+        patch.setattr(page, "write_sensitivity_report", full)
         done = command(tmp_path, "--observable", "diameter")
     assert "No space left" in done.output
     assert json.loads((tmp_path / "out" / "sensitivity.json").read_text())["size"] == 4

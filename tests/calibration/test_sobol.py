@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 import multicell as mc
-from multicell.calibration.sobol import sobol_indices, sobol_sample
+from multicell.calibration.sensitivity.sobol import sobol_indices, sobol_sample
 from multicell.cli.main import main
 from multicell.errors import SceneError
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 import multicell as mc
-from multicell.calibration.emulator import best_of, draws
-from multicell.calibration.likelihood import likelihood, scatter_of
-from multicell.calibration.simulator import Reading, SceneSimulator
+from multicell.calibration.fitting.emulator import best_of, draws
+from multicell.calibration.fitting.likelihood import likelihood, scatter_of
+from multicell.calibration.fitting.simulator import Reading, SceneSimulator
 from multicell.errors import DataError
 from multicell.measured.data import read_data
 from multicell.measured.noise import Noise

@@ -8,7 +8,7 @@ import shutil
 import pytest
 
 import multicell as mc
-from multicell.calibration.simulator import SceneSimulator
+from multicell.calibration.fitting.simulator import SceneSimulator
 from multicell.results.documents import read_document, write_table
 from multicell.results.folder import to_json
 
@@ -122,7 +122,7 @@ def test_the_same_fit_mends_what_is_damaged_without_a_run(stored, file, way, tmp
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[1]", b"\xff\xfe", b'{"a": 1}'])
 def test_a_damaged_entry_of_a_fit_is_overwritten_where_asked_for(content, tmp_path):
-    from multicell.calibration.fit import plan_fit
+    from multicell.calibration.fitting.fit import plan_fit
 
     plan = plan_fit(SCENE, DATA, FREE, seeds=1, repeats=4, budget=64)
     with plan.open_folder(tmp_path / "fit") as folder:

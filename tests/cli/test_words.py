@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from multicell.calibration.dose_response import analyse_doses
+from multicell.calibration.dose_response.analysis import analyse_doses
 from multicell.cli.main import main
 from multicell.cli.process import quiet_libraries
 from multicell.errors import ClusterError, ExitCode, FitFailed, OutputError

@@ -1,4 +1,4 @@
-"""The diagram of docs/tiles.py: steps as they are asked for, races, tiles over seeds, restarts."""
+"""The diagram of docs/programs/tiles.py: recorded steps, races, tiles over seeds, restarts."""
 
 import argparse
 import math
@@ -12,13 +12,13 @@ from formulas import dense_jacobian
 from multicell.comparison.ladders import Method, find_method
 from multicell.comparison.replay import replay
 
-DOCS = Path(__file__).parents[2] / "docs"
+PROGRAMS = Path(__file__).parents[2] / "docs" / "programs"
 
 
 @pytest.fixture(scope="module")
 def scripts():
     """The modules of the scripts, which lie beside each other."""
-    sys.path.insert(0, str(DOCS))
+    sys.path.insert(0, str(PROGRAMS))
     try:
         import defaults_tables
         import tile_problems
@@ -26,7 +26,7 @@ def scripts():
         import tile_tables
         import tiles
     finally:
-        sys.path.remove(str(DOCS))
+        sys.path.remove(str(PROGRAMS))
     return argparse.Namespace(
         tiles=tiles, problems=tile_problems, race=tile_race, tables=tile_tables,
         defaults=defaults_tables,

@@ -30,7 +30,7 @@ MARK = "<!-- figure: "
 @pytest.fixture(scope="module")
 def programs() -> dict[str, ModuleType]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(DOCS))
+        patch.syspath_prepend(str(DOCS / "programs"))
         names = ("marked", "performance", "physicell_speed", "picture_origins", "speed_tables")
         return {name: importlib.import_module(name) for name in names}
 
@@ -221,6 +221,17 @@ def test_every_picture_has_its_origin_and_is_what_was_made(programs):
     assert {name for name, entry in made.items() if "methods" in entry} == COMPARISONS
 
 
+def test_the_page_of_programs_lists_every_program_with_a_cost():
+    text = (DOCS / "programs.md").read_text("utf-8")
+    rows = dict(re.findall(r"^\| `python docs/(\S+)\.py[^`]*` \|.+\| (.+) \|$", text, re.M))
+    files = {path.stem: path.read_text("utf-8") for path in (DOCS / "programs").glob("*.py")}
+    programs = {f"programs/{name}" for name, code in files.items() if "__main__" in code}
+    assert set(rows) == programs | {"wm983b"}
+    assert all(re.search(r"second|minute|hour|printed", cost) for cost in rows.values())
+    modules = set(re.findall(r"`(\w+)`", text.rpartition("The other files")[2]))
+    assert modules == set(files) - {name.removeprefix("programs/") for name in programs}
+
+
 def test_pictures_of_comparisons_show_methods_of_the_registry(programs):
     made = programs["picture_origins"].read()
     for name in COMPARISONS:
@@ -244,7 +255,7 @@ def test_tables_and_pages_name_methods_of_the_registry():
 
 
 def test_pictures_of_the_built_in_spheroid_are_of_the_present_model(programs):
-    """If this fails, the model has changed: run ``python docs/moving_pictures.py``."""
+    """If this fails, the model has changed: run ``python docs/programs/moving_pictures.py``."""
     made = programs["picture_origins"].read()
     for name in ("spheroid.webp", "section.png"):
         assert made[name]["model"] == MODEL_VERSION

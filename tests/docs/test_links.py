@@ -55,7 +55,7 @@ def test_pictures_have_a_text_for_those_who_do_not_see_them():
 
 
 def test_the_picture_of_the_rooms_knows_each_room(monkeypatch):
-    monkeypatch.syspath_prepend(ROOT / "docs")
+    monkeypatch.syspath_prepend(ROOT / "docs" / "programs")
     import rooms
 
     assert sorted(rooms.WHAT) == sorted(room for floor in rooms.floors() for room in floor)

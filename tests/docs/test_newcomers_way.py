@@ -1,4 +1,4 @@
-"""The path that ``docs/newcomer.py`` times: its commands exist, its page has a place for it."""
+"""The path that ``docs/programs/newcomer.py`` times: commands exist, the page has a place."""
 
 import importlib.util
 import re
@@ -16,7 +16,9 @@ ROOT = Path(__file__).parents[2]
 @pytest.fixture(scope="module")
 def newcomer():
     """Return the program as a module."""
-    spec = importlib.util.spec_from_file_location("newcomer", ROOT / "docs" / "newcomer.py")
+    spec = importlib.util.spec_from_file_location(
+        "newcomer", ROOT / "docs" / "programs" / "newcomer.py"
+    )
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

@@ -63,7 +63,7 @@ def shocked():
 @pytest.mark.parametrize("name", ["auto", "cvode", "rosenbrock", "rkc2", "dopri5"])
 def test_at_its_default_a_method_keeps_the_worst_cell_within_its_word(shocked, name):
     """The page says: in the median step the worst cell is off by about a hundredth of a radius."""
-    spec = importlib.util.spec_from_file_location("tolerances", DOCS / "tolerances.py")
+    spec = importlib.util.spec_from_file_location("tolerances", DOCS / "programs" / "tolerances.py")
     program = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(program)
     options = Scene.from_dict({"duration": "1 h", "integrator": {"method": name}}).integrator

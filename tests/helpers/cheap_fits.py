@@ -11,13 +11,13 @@ from threading import Timer
 import numpy as np
 
 import multicell as mc
-from multicell.calibration.emulator import emulator
-from multicell.calibration.fitted import Fit
-from multicell.calibration.likelihood import fresh
-from multicell.calibration.pool import Pool
-from multicell.calibration.problem import FitProblem
-from multicell.calibration.search import Search
-from multicell.calibration.simulator import Reading, SceneSimulator
+from multicell.calibration.fitting.emulator import emulator
+from multicell.calibration.fitting.fitted import Fit
+from multicell.calibration.fitting.likelihood import fresh
+from multicell.calibration.fitting.pool import Pool
+from multicell.calibration.fitting.problem import FitProblem
+from multicell.calibration.fitting.search import Search
+from multicell.calibration.fitting.simulator import Reading, SceneSimulator
 from multicell.measured.data import Condition, Datum, Measured, read_data
 from multicell.studies.axes import Range
 

@@ -4,8 +4,11 @@
 off a child for each task: a command line of ``multicell``, or a function of a test module.
 """
 
+import atexit
 import contextlib
+import ctypes
 import faulthandler
+import gc
 import importlib
 import json
 import os
@@ -14,6 +17,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 
@@ -93,6 +97,7 @@ def serve():
     from multicell.report import tables  # noqa: F401 - loaded once, for all children
 
     mc.run(mc.load_scene("spheroid").with_changes(WARM), threads=1)
+    gc.freeze()  # a child's collector does not copy what it has of this process
     for line in sys.stdin:
         task = json.loads(line)
         if "load" in task:
@@ -104,7 +109,7 @@ def serve():
         if child == 0:
             os.close(read)
             _become(write, **task)
-            return _work(task)
+            _leave(_work(task) or 0)
         os.close(write)
         code = _watch(child, task, begin)
         with os.fdopen(read, errors="replace") as pipe:
@@ -155,6 +160,20 @@ def _work(task):
     if "loads" in task:
         Path(task["loads"]).write_text(json.dumps(sorted(sys.modules)))
     return code
+
+
+def _leave(code):
+    """End this process as Python does, but for the two seconds in which it takes itself apart.
+
+    Threads are waited for, what was to be done at the end is done, and libraries in C end by
+    themselves: HDF5 closes its files.
+    """
+    threading._shutdown()
+    gc.collect()
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    ctypes.CDLL(None).exit(int(code))
 
 
 def _command(arguments):

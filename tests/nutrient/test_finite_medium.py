@@ -3,16 +3,11 @@
 import numpy as np
 import pytest
 from running import finished, refused
-from scipy.optimize import brentq
 from scipy.special import lambertw
 
 import multicell as mc
 from multicell.errors import SceneError, StepFailed
-from multicell.nutrient.field import NutrientField
-from multicell.nutrient.parameters import FieldParameters
-from multicell.nutrient.tissue import Tissue
 from multicell.report.explain.scene import explain
-from multicell.scene.nutrient import Nutrient
 from multicell.scene.scene import Scene
 
 WALL = {"type": "derivative", "derivative": 0.0}
@@ -54,46 +49,6 @@ def content(simulation, name="glucose"):
 
 
 # --- closed forms ------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("ratio", [0.3, 1.0, 5.0])
-def test_a_sphere_in_a_stirred_solution_of_limited_volume(ratio):
-    """Crank (1975), eqs. 6.30-6.32: what the sphere has taken up, over what it will."""
-    diffusion, margin = 500.0, 100.0
-    nutrient = Nutrient(
-        diffusion=diffusion, boundary=0.0, uptake=0.0, media=[(1.0, 2.0)], geometry="radial",
-        margin=margin, time_tolerance=1e-4, finite_medium={"volume": 1e12},
-    )  # fmt: skip
-    parameters = FieldParameters(nutrient, 1.0, 10.0, "transient", dimensions=3)
-    place, nothing = np.zeros((1, 3)), np.zeros(1)
-    probe = NutrientField("a", parameters)
-    probe.group.fill(Tissue(place), time=0.0)
-    a = probe.layout.radius
-    sphere = 4.0 / 3.0 * np.pi * a**3
-    finite = {"volume": (1.0 + ratio) * sphere}
-    whole = Nutrient(**{**vars(nutrient), "finite_medium": finite})
-    field = NutrientField("a", FieldParameters(whole, 1.0, 10.0, "transient", dimensions=3))
-    field.group.fill(Tissue(place), time=0.0)
-    field.attach_medium()
-    assert field.well_mixed.volume == pytest.approx(ratio * sphere)
-    still = Tissue(place), {"a": (nothing, None)}
-    field.group.advance(*still, begin=0.0, end=1.0)
-    assert field.well_mixed.concentration == 2.0
-    roots = [
-        brentq(lambda q: (3 + ratio * q * q) * np.sin(q) - 3 * q * np.cos(q), low, low + np.pi)
-        for low in np.pi * np.arange(1, 400)
-    ]
-    q, now = np.array(roots), 1.0
-    final = 2.0 * ratio * sphere / (1.0 + ratio)
-    for time in (0.5, 2.0, 6.0):
-        field.group.advance(*still, begin=now, end=1.0 + time)
-        now = 1.0 + time
-        terms = 6 * ratio * (ratio + 1) * np.exp(-diffusion * q**2 * time / a**2)
-        exact = 1.0 - np.sum(terms / (9 + 9 * ratio + q**2 * ratio**2))
-        assert field.stored() / final == pytest.approx(exact, abs=2e-3)
-        assert field.stored() + field.well_mixed.amount == pytest.approx(
-            2 * ratio * sphere, rel=1e-8
-        )
 
 
 @pytest.mark.parametrize("regime", ["steady", "transient"])

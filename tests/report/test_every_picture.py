@@ -13,9 +13,9 @@ from synthetic import SCENE, growing_frames, history_of, spheroid
 from two_cells import ladders, result_of
 
 import multicell as mc
-from multicell.calibration.indices import sample
-from multicell.calibration.sensitivity import sample_sensitivity as indices_of
-from multicell.calibration.sobol import SobolIndices
+from multicell.calibration.sensitivity.analysis import sample_sensitivity as indices_of
+from multicell.calibration.sensitivity.indices import sample
+from multicell.calibration.sensitivity.sobol import SobolIndices
 from multicell.report.plots.colouring import colouring
 from multicell.report.plots.run import Plots
 from multicell.report.plots.space import View, film_picture, room

@@ -93,7 +93,7 @@ def test_fits_and_studies_that_are_hardly_begun_continue(kind, tmp_path, monkeyp
     def begin(out):
         if kind == "study":
             return mc.study(SCENE, {"cells.young": "1,2 kPa"}, output=out)
-        from multicell.calibration.fit import plan_fit
+        from multicell.calibration.fitting.fit import plan_fit
 
         with plan_fit(SCENE, data, free).open_folder(out) as folder:
             return folder

@@ -13,8 +13,8 @@ import pytest
 from click.testing import CliRunner
 
 import multicell as mc
-from multicell.calibration.sensitivity import chosen_observables as asked_of
-from multicell.calibration.simulator import SceneSimulator
+from multicell.calibration.fitting.simulator import SceneSimulator
+from multicell.calibration.sensitivity.analysis import chosen_observables as asked_of
 from multicell.cli.main import main
 from multicell.errors import SceneError
 from multicell.measured.data import read_data

@@ -21,13 +21,6 @@ def scene(name="oxygen", **nutrient):
     return Scene.from_dict({"duration": "1 h", "nutrients": {name: nutrient}})
 
 
-def test_at_body_temperature_as_physiology_has_it():
-    """A Bunsen coefficient of 0.0239 (litres at 0 °C and 101.325 kPa in a litre of water)."""
-    bunsen = oxygen_solubility(37.0) * 101.325 * 22.392e-3
-    assert bunsen == pytest.approx(0.0239, rel=6e-3)
-    assert oxygen_solubility(37.0) * MMHG == pytest.approx(1.40e-3, rel=5e-3)
-
-
 @pytest.mark.parametrize("text", ["40 mmHg", "5.332896 kPa", "53.32896 mbar", "40 torr"])
 def test_a_pressure_becomes_a_concentration(text):
     found = scene(boundary=text).nutrients["oxygen"].boundary
@@ -35,25 +28,6 @@ def test_a_pressure_becomes_a_concentration(text):
     cool = scene(boundary=text, temperature=20).nutrients["oxygen"].boundary
     assert cool == pytest.approx(40 * MMHG * oxygen_solubility(20.0), rel=1e-5)
     assert cool > 1.2 * found
-
-
-# mg/L in water in moist air of 101.325 kPa (Benson & Krause 1984)
-SATURATED = {0: 14.62, 5: 12.77, 10: 11.29, 15: 10.08, 20: 9.09, 25: 8.26, 30: 7.56, 35: 6.95,
-             40: 6.41}  # fmt: skip
-
-
-@pytest.mark.parametrize("temperature", SATURATED)
-def test_a_percentage_is_of_gas_at_sea_level_with_water_vapour(temperature):
-    """Dry air has 20.946 % of oxygen."""
-    found = scene(boundary="20.946 %", temperature=temperature).nutrients["oxygen"].boundary
-    assert found * 31.998 == pytest.approx(SATURATED[temperature], rel=5e-3)
-
-
-def test_the_pressure_of_water_vapour_is_that_of_steam_tables():
-    """Of IAPWS-95, kPa."""
-    known = {0.0: 0.6112, 20.0: 2.3393, 37.0: 6.2823, 50.0: 12.352, 60.0: 19.946}
-    for temperature, pressure in known.items():
-        assert vapour_pressure(temperature) == pytest.approx(pressure, rel=2e-3)
 
 
 def test_as_a_level_of_other_parts_of_a_scene():

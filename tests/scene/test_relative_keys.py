@@ -45,7 +45,7 @@ def test_a_fit_may_vary_the_part_and_what_it_is_of():
     data = {"time / h": [1.0], "diameter / um": [20.0]}
     free = {"nutrients.oxygen.quiescence": "0.01:0.05 mM",
             "nutrients.oxygen.relative.necrosis.factor": "0.2:0.8"}  # fmt: skip
-    from multicell.calibration.fit import plan_fit
+    from multicell.calibration.fitting.fit import plan_fit
 
     problem = plan_fit(scene(), data, free).problem
     made = scene().with_changes(problem.values([0.5, 0.5]))

@@ -11,7 +11,7 @@ from stored import assert_same_bits
 from studied import CHANGES, alive, gone, runs_of, short_runs, started, statuses, wait_for
 
 import multicell as mc
-from multicell.calibration.pool import Pool
+from multicell.calibration.fitting.pool import Pool
 from multicell.errors import ClusterError
 from multicell.studies.engine import run_study
 from multicell.studies.runs import MODEL_VERSION

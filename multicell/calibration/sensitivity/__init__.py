@@ -1,0 +1,1 @@
+"""Sensitivity of observables to parameters: Morris trajectories, Sobol indices, pages."""

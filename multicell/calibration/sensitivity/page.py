@@ -1,0 +1,158 @@
+"""The page of an analysis of sensitivity, and pictures of indices with their intervals."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from multicell.calibration.sensitivity.indices import CLEAR, CLEAR_SINGLE
+from multicell.calibration.shared.wording import value_in_words
+from multicell.report.html import Drawing, write_page
+from multicell.report.plots.colour_vision import PALE
+from multicell.report.plots.style import BLUE, QUIET, RED, SIZE, styled
+from multicell.report.wording import written
+from multicell.studies.picture_data import key_words, sentence, with_unit, words
+from multicell.studies.pictures import with_heading
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from multicell.calibration.sensitivity.result import Row, Sensitivity
+    from multicell.studies.axes import Range
+
+
+def write_sensitivity_report(result: Sensitivity, folder: Path) -> Path:
+    """Write ``report.html`` and its pictures, and return the page."""
+    pictures: dict[str, Drawing] = {}
+    for name in result.observables:
+        if any(row["mu_star"] > 0.0 for row in result.ordered(name)):  # else a note says why
+            caption = (
+                f"{sentence(words(name))}: size of effects at the end of the runs, with 95 % "
+                "intervals; pale is what is not distinguishable from noise or zero."
+            )
+            path = f"sensitivity-{name.replace('.', '_')}.png"
+            pictures[path] = partial(result.plot, name), caption
+    names = ", ".join(key_words(free.key, free.name) for free in result.ranges)
+    return write_page(
+        folder / "report.html",
+        "sensitivity.html",
+        scene=result.scene,
+        title=_title(result),
+        subtitle=f"Screening by Morris · {names}",
+        tiles=_tiles(result),
+        pictures=pictures,
+        result=result,
+        ends={free.key: _ends(free) for free in result.ranges},
+    )
+
+
+def _ends(free: Range) -> tuple[str, str]:
+    """Return both ends of a range in words; long times in minutes, hours or days."""
+    log = ", by ratio" if free.log else ""
+    return value_in_words(free.low, free.unit), value_in_words(free.high, free.unit) + log
+
+
+def _tiles(result: Sensitivity) -> dict[str, str]:
+    tiles = {
+        "free parameters": f"{len(result.ranges)}",
+        "trajectories": f"{result.size:,}",
+        "points": f"{result.size * (len(result.ranges) + 1):,}",
+        "seeds": f"{len(result.seeds)}",
+    }
+    if result.failures:
+        tiles["runs that failed"] = f"{len(result.failures):,}"
+    for name in result.observables[:3]:
+        first = result.ordered(name)[0]
+        if first["verdict"] in (CLEAR, CLEAR_SINGLE):
+            tiles[f"decides {words(name)} most"] = key_words(first["key"], first["parameter"])
+    return tiles
+
+
+_MAX_LINES: Final = 7  # labels in the chart: more overlap
+_NEAR_ORIGIN: Final = 0.02  # part of the chart's range within which labels would lie on each other
+
+
+@styled
+def indices(result: Sensitivity, observable: str) -> Figure:
+    """Draw the indices of an observable, the largest one on top, with 95 % intervals.
+
+    What is not distinguishable from noise, or from zero, is pale; a red tick is what noise over
+    the seeds alone would give.
+    """
+    rows = result.ordered(observable)
+    seeds = f"{len(result.seeds)} seeds" if len(result.seeds) > 1 else "one seed: noise unknown"
+    subtitle = (
+        f"{sentence(words(observable))} at the end of each run · Morris, {result.size:,} "
+        f"trajectories, {seeds} · bars: 95 % intervals"
+    )
+    figure = with_heading(_title(result), subtitle, (SIZE[0], max(5.0, 1.9 + 0.36 * len(rows))))
+    left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
+    _bars(left, rows)
+    _plane(right, rows)
+    return figure
+
+
+def _title(result: Sensitivity) -> str:
+    return f"{result.scene.title or 'Untitled scene'}: sensitivity"
+
+
+def _bars(axes: Axes, rows: list[Row]) -> None:
+    """Draw bars with intervals, the first row on top; a red tick is the noise."""
+    places = np.arange(len(rows), dtype=float)
+    values, halves, noise = (
+        np.array([row[name] for row in rows]) for name in ("mu_star", "mu_star_conf", "noise")
+    )
+    colours = [BLUE if row["verdict"] in (CLEAR, CLEAR_SINGLE) else PALE for row in rows]
+    axes.barh(places, np.nan_to_num(values), 0.63, color=colours)
+    axes.errorbar(
+        values, places, xerr=halves, fmt="none", ecolor=QUIET, elinewidth=1.3, capsize=2.5
+    )
+    there = noise > 0.0
+    axes.vlines(noise[there], places[there] - 0.35, places[there] + 0.35, color=RED, lw=2, zorder=4)
+    axes.axvline(0.0, color=QUIET, lw=0.8)
+    axes.set_yticks(places, [_shown(row) for row in rows])
+    axes.set_ylim(len(rows) - 0.4, -0.6)
+    axes.grid(False, axis="y")
+    axes.set_xlabel(with_unit("mean size of the effect μ*", written(rows[0]["unit"])))
+
+
+def _shown(row: Row) -> str:
+    name = key_words(str(row["key"]), str(row["parameter"]))
+    return name if len(name) <= 30 else f"{name[:29]}…"
+
+
+def _plane(axes: Axes, rows: list[Row]) -> None:
+    """Draw sigma over mu*: below the line effects are alike wherever the others are."""
+    star = np.array([row["mu_star"] for row in rows])
+    sigma = np.array([row["sigma"] for row in rows])
+    half = np.array([row["mu_star_conf"] for row in rows])
+    sure = np.array([row["verdict"] in (CLEAR, CLEAR_SINGLE) for row in rows])
+    axes.errorbar(star, sigma, xerr=half, fmt="none", ecolor="#a9b5be", elinewidth=1.2, zorder=1)
+    for clear, colour in ((True, BLUE), (False, "#a9b5be")):
+        axes.plot(star[sure == clear], sigma[sure == clear], "o", color=colour, ms=7)
+    ends = [v for v in (*(star + half), *sigma) if np.isfinite(v)]
+    top = 1.12 * max(ends, default=1.0) or 1.0
+    named: list[tuple[float, float]] = []
+    for row, x, y in sorted(zip(rows[:_MAX_LINES], star, sigma, strict=False), key=lambda e: e[1]):
+        if not max(x, y) > _NEAR_ORIGIN * top:
+            continue  # names of what has no effect would lie on each other
+        side: dict[str, Any] = {"ha": "right" if x > 0.55 * top else "left"}
+        near = sum(abs(x - u) < 0.45 * top and abs(y - v) < 0.06 * top for u, v in named)
+        named.append((x, y))
+        axes.annotate(
+            _shown(row),
+            (x, y),
+            (-6 if x > 0.55 * top else 6, 5 + 12 * near),
+            textcoords="offset points",
+            fontsize=8.5,
+            **side,
+        )
+    axes.plot([0.0, top], [0.0, top], "--", color=QUIET, lw=1.0)
+    axes.annotate("σ = μ*", (0.93 * top, 0.95 * top), ha="right", fontsize=9, color=QUIET)
+    axes.set(xlim=(-0.02 * top, top), ylim=(-0.02 * top, top))
+    axes.set_xlabel(with_unit("μ*", written(rows[0]["unit"])))
+    axes.set_ylabel(with_unit("σ: interactions, curvature", written(rows[0]["unit"])))

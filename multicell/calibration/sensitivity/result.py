@@ -1,0 +1,157 @@
+"""Results of an analysis of sensitivity: indices, intervals, what noise hides."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+
+from multicell.errors import OutputError, SceneError
+from multicell.measured.observables import suggest
+from multicell.results.folder import file_errors, package_version, to_json, versions, write_text
+from multicell.results.quantities import known_unit
+from multicell.tables.text import table_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from multicell.scene.scene import Scene
+    from multicell.studies.axes import Range
+
+Row = dict[str, Any]  # one row of a table: column -> value
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """How much each free parameter decides each observable.
+
+    - ``ranges``: the free parameters
+    - ``size``: trajectories of Morris
+    - ``seeds``: runs at each point, whose observables are averaged
+    - ``table``: a row for each observable and parameter: ``observable``, ``unit``, ``parameter``,
+      ``key``, ``low``, ``high``, ``parameter_unit``, ``mu``, ``mu_star``, ``mu_star_conf`` (the
+      half width of its 95 % interval) and ``sigma`` (in ``unit``, for the whole range). ``noise``
+      is what scatter over the seeds alone gives (NaN for one seed) and ``verdict`` what can be
+      said: see :class:`multicell.calibration.sensitivity.indices.Analysis`.
+    - ``notes``: what the reader must know: failed runs, an observable that does not vary
+    - ``failures``: name of a run that failed -> reason; the study in the folder has the others
+    """
+
+    scene: Scene
+    ranges: tuple[Range, ...]
+    size: int
+    seeds: tuple[int, ...]
+    table: list[Row]
+    notes: list[str]
+    failures: Mapping[str, str]
+    folder: Path | None = None
+
+    @property
+    def observables(self) -> list[str]:
+        """Names of the observables."""
+        return list(dict.fromkeys(row["observable"] for row in self.table))
+
+    def index(self, observable: str, parameter: str) -> Row:
+        """Return one row of the table.
+
+        Raises
+        ------
+        SceneError
+            If there is none of these names.
+        """
+        for row in self.table:
+            if row["observable"] == observable and parameter in (row["parameter"], row["key"]):
+                return dict(row)
+        known = [*self.observables, *(free.name for free in self.ranges)]
+        missing = observable if observable not in known else parameter
+        raise SceneError(
+            "", f"the analysis has no {missing!r}", suggest(missing, dict.fromkeys(known))
+        )
+
+    def plot(self, observable: str | None = None) -> Figure:
+        """Draw the indices of an observable (by default the first) with their intervals."""
+        from multicell.calibration.sensitivity.page import indices
+
+        return indices(self, observable or self.observables[0])
+
+    def to_csv(self) -> str:
+        """Return the table as CSV."""
+        return table_text(self.table)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain values."""
+        return {
+            "size": self.size,
+            "seeds": self.seeds,
+            "free": [asdict(free) for free in self.ranges],
+            "table": self.table,
+            "notes": self.notes,
+            "versions": {**versions(), "SALib": package_version("SALib")},
+            "scene": self.scene.to_dict(),
+        }
+
+    def to_json(self) -> str:
+        """Return everything as strict JSON; NaN is null."""
+        return to_json(self.to_dict()) + "\n"
+
+    def text(self) -> str:
+        """Return the table in words, the largest index of each observable first."""
+        lines = []
+        for name in self.observables:
+            unit = known_unit(name)
+            lines.append(f"{name.replace('_', ' ')}{f' ({unit})' if unit else ''}")
+            lines += [f"  {line}" for line in _table_lines(self.ordered(name))]
+        return "\n".join([*lines, *(f"Note: {note}" for note in self.notes)])
+
+    def ordered(self, observable: str) -> list[Row]:
+        """Return the rows of an observable, the largest index first."""
+        rows = [row for row in self.table if row["observable"] == observable]
+        return sorted(rows, key=lambda row: -np.nan_to_num(row["mu_star"]))
+
+    def report(self, folder: str | Path | None = None) -> Path:
+        """Write tables, pictures and the page ``report.html``; return the page.
+
+        Raises
+        ------
+        OutputError
+            If there is no folder, or it cannot be written to.
+        """
+        from multicell.calibration.sensitivity.page import write_sensitivity_report
+
+        return write_sensitivity_report(self, self.write_tables(folder))
+
+    def write_tables(self, folder: str | Path | None = None) -> Path:
+        """Write ``sensitivity.csv`` and ``sensitivity.json``; return the folder.
+
+        Raises
+        ------
+        OutputError
+            As :meth:`report`.
+        """
+        place = self.folder if folder is None else Path(folder)
+        if place is None:
+            raise OutputError("the analysis has no output folder: say where the report shall go")
+        with file_errors("use the output folder", place):
+            place.mkdir(parents=True, exist_ok=True)
+        write_text(place / "sensitivity.csv", self.to_csv())
+        write_text(place / "sensitivity.json", self.to_json())
+        return place
+
+
+def _table_lines(rows: Sequence[Row]) -> list[str]:
+    """Return lines of a table of one observable."""
+    cells = [["parameter", "mu*", "± 95 %", "mu", "sigma", "noise", ""]]
+    for row in rows:
+        known = (row[name] for name in ("mu_star", "mu_star_conf", "mu", "sigma", "noise"))
+        words = ("unknown" if x != x else f"{x:.3g}" for x in known)
+        cells.append([row["parameter"], *words, row["verdict"]])
+    wide = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    lines = []
+    for first, *inner, last in cells:
+        aligned = (word.rjust(width) for word, width in zip(inner, wide[1:], strict=False))
+        lines.append("  ".join([first.ljust(wide[0]), *aligned, last]).rstrip())
+    return lines

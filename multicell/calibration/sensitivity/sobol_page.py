@@ -1,0 +1,85 @@
+"""The page of Sobol' indices, and their picture."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from multicell.calibration.shared.wording import value_in_words
+from multicell.report.html import Drawing, write_page
+from multicell.report.plots.colour_vision import PALE
+from multicell.report.plots.style import BLUE, QUIET, SIZE, styled
+from multicell.studies.picture_data import key_words, sentence, words
+from multicell.studies.pictures import with_heading
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from multicell.calibration.sensitivity.sobol import SobolIndices
+
+
+def write_sobol_report(result: SobolIndices, folder: Path) -> Path:
+    """Write ``report.html`` and its pictures, and return the page."""
+    pictures: dict[str, Drawing] = {}
+    for name in result.observables:
+        if any(np.isfinite(row["ST"]) for row in result.ordered(name)):  # else a note says why
+            caption = f"{sentence(words(name))}: parts of its variance, with 95 % intervals."
+            path = f"sensitivity-{name.replace('.', '_')}.png"
+            pictures[path] = partial(result.plot, name), caption
+    names = ", ".join(key_words(free.key, free.name) for free in result.ranges)
+    return write_page(
+        folder / "report.html",
+        "sobol.html",
+        scene=result.scene,
+        title=_heading(result),
+        subtitle=f"Sobol' indices · {names}",
+        tiles={
+            "free parameters": f"{len(result.ranges)}",
+            "points": f"{result.size * (len(result.ranges) + 2):,}",
+            "seeds": f"{len(result.seeds)}",
+        },
+        pictures=pictures,
+        result=result,
+        ends={f.key: [value_in_words(x, f.unit) for x in (f.low, f.high)] for f in result.ranges},
+    )
+
+
+def _heading(result: SobolIndices) -> str:
+    return f"{result.scene.title or 'Untitled scene'}: sensitivity"
+
+
+@styled
+def sobol_bars(result: SobolIndices, observable: str) -> Figure:
+    """Draw first and total indices of an observable, the largest total one on top."""
+    rows = result.ordered(observable)
+    subtitle = (
+        f"{sentence(words(observable))} at the end of each run · Sobol', {result.size:,} points, "
+        f"{len(result.seeds)} seed(s) · bars: 95 % intervals"
+    )
+    figure = with_heading(_heading(result), subtitle, (SIZE[0], max(4.0, 1.9 + 0.6 * len(rows))))
+    axes = figure.subplots()
+    places = np.arange(len(rows), dtype=float)
+    pairs = (("ST", 0.18, PALE, "total, with interactions"), ("S1", -0.18, BLUE, "alone"))
+    for column, shift, colour, label in pairs:
+        values = np.array([row[column] for row in rows])
+        halves = np.array([row[f"{column}_conf"] for row in rows])
+        axes.barh(places + shift, np.nan_to_num(values), 0.34, color=colour, label=label)
+        axes.errorbar(
+            values,
+            places + shift,
+            xerr=halves,
+            fmt="none",
+            ecolor=QUIET,
+            elinewidth=1.3,
+            capsize=2.5,
+        )
+    axes.set_yticks(places, [key_words(str(row["key"]), str(row["parameter"])) for row in rows])
+    axes.set_ylim(len(rows) - 0.4, -0.6)
+    axes.grid(False, axis="y")
+    axes.axvline(0.0, color=QUIET, lw=0.8)
+    axes.set_xlabel("part of the variance")
+    axes.legend(loc="lower right")
+    return figure

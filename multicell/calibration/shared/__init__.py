@@ -1,0 +1,1 @@
+"""Wording shared by fits, dose responses and sensitivity analyses."""
