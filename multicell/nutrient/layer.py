@@ -27,7 +27,7 @@ from multicell.compiling import INNER, KERNEL
 from multicell.nutrient.cartesian import Box
 from multicell.vectors import corners, lengths
 
-HELD: Final = 100.0
+HELD_RATE: Final = 100.0
 """Rate of exchange of a node beyond the layer over D/h², and the largest of one at its end. About a
 hundredth of the difference across a spacing is left between such a node and the medium, as if the
 layer ended by so much of a spacing later. Larger rates lose more digits of the account."""
@@ -220,7 +220,7 @@ def _exchange(distance, medium, flat, out):
             for k in range(nz):
                 a, b, c = i + 1, j + 1, k + up
                 if medium[a, b, c]:
-                    out[i, j, k] = HELD
+                    out[i, j, k] = HELD_RATE
                     continue
                 inside, total = -float(distance[a, b, c]), 0.0
                 for face in range(4 if flat else 6):
@@ -235,11 +235,11 @@ def _exchange(distance, medium, flat, out):
                         edge = edge or (not flat and (f == 0 or f == nz + 1))
                         ratio = (inside + beyond) / max(inside, 1e-9)
                         total += max(ratio - (2.0 if edge else 1.0), 0.0)
-                out[i, j, k] = min(total, HELD)
+                out[i, j, k] = min(total, HELD_RATE)
 
 
 def exchanged(exchange: FloatArray, c: FloatArray, level: float) -> tuple[float, float]:
-    """Return what nodes gain from the medium and give to it, sums over all, mM times ``exchange``.
+    """Return the gain of all nodes from the medium and their loss to it, mM times ``exchange``.
 
     - ``level``, mM: of the medium
     """

@@ -7,7 +7,7 @@ from scipy import ndimage, spatial, special
 import multicell as mc
 from multicell.nutrient.cartesian import Box
 from multicell.nutrient.field import NutrientField
-from multicell.nutrient.layer import HELD, exchange_beyond, mean_end
+from multicell.nutrient.layer import HELD_RATE, exchange_beyond, mean_end
 from multicell.nutrient.parameters import FieldParameters
 from multicell.scene.nutrient import Nutrient
 
@@ -122,9 +122,9 @@ def test_nodes_beyond_the_layer_and_none_in_a_hollow():
     found = exchange_beyond(box, shell, shell, radius, 40.0)
     medium, away = brute(box, shell, 40.0)
     assert found[18, 18, 18] == 0.0  # 120 um from all cells, and shut in
-    assert found[0, 0, 0] == HELD
-    assert (found[medium] == HELD).all()
-    assert away[(found == HELD) & ~medium].min(initial=40.0) > 39.7  # as good as at the end
+    assert found[0, 0, 0] == HELD_RATE
+    assert (found[medium] == HELD_RATE).all()
+    assert away[(found == HELD_RATE) & ~medium].min(initial=40.0) > 39.7  # as good as at the end
     near = ndimage.binary_dilation(medium) & ~medium
     assert (found[near] >= 0.0).all()
     assert (found[~near & ~medium] == 0.0).all()

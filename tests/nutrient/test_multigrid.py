@@ -88,7 +88,7 @@ def test_systems_are_solved_as_by_a_direct_solver(case):
     exact = spsolve(matrix(op, rate), residual.ravel()).reshape(op.shape)
     solver = MultigridSolver(op, Team())
     found = solver.solve(rate, residual, size, 1e-4)
-    assert found.dtype == np.float32
+    assert found.dtype == residual.dtype
     np.testing.assert_allclose(found, exact, atol=3e-4 * np.abs(exact).max())
     assert 1 <= solver.cg <= 12
 

@@ -158,7 +158,7 @@ class _Newton:
         self.sums = np.abs(np.sum(self.residual * v, axis=1))
 
     def pulled(self, c: FloatArray) -> FloatArray:
-        """Return what nodes give to the medium where they exchange with it, (m, nodes) mM/s."""
+        """Return the loss of nodes to the medium with which they exchange, (m, nodes) mM/s."""
         out = np.zeros_like(c)
         for i, op in enumerate(self.coupled.operators):
             if isinstance(op, Diffusion) and op.exchange is not None:
