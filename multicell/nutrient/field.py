@@ -48,8 +48,9 @@ class Solution(NamedTuple):
 class NutrientField:
     """One substance that diffuses, is taken up and secreted by cells, and decays.
 
-    The faces of its grid lie at ``margin`` from the outermost centres of the tissue: a layer of
-    medium without convection lies round it, always as thick as that. Cells that have left the
+    A layer of medium without convection lies round the tissue, ``margin`` thick from the outermost
+    centres, where the faces of its grid lie and, away from these, the layer ends inside of it
+    (:mod:`multicell.nutrient.layer`). Cells that have left the
     tissue (:mod:`multicell.nutrient.tissue`) do not move the faces; beyond them they find the
     medium, and take up and give off at the nearest point of the grid, whose account has it. With a
     ``domain`` the faces lie on its sides, and stay there.
@@ -263,6 +264,22 @@ class NutrientField:
         same = self._layout is not None and found == self._layout
         reached = position if tissue is position else found.nearest(position)
         return (self.layout, True, reached) if same else (found, False, reached)
+
+    def exchange(self, layout: Layout, cells: Tissue) -> FloatArray | None:
+        """Return the rates of exchange with the medium by which the layer round the tissue ends.
+
+        None where it does not: in a domain, with sides of its own, with a finite medium, and on
+        shells, which end there. See :func:`multicell.nutrient.layer.exchange_beyond`.
+        """
+        if not self.parameters.open_medium or not isinstance(layout, BoxLayout):
+            return None
+        from multicell.nutrient.layer import exchange_beyond
+
+        position, radius = cells.position, cells.radius
+        tissue = cells.once(drawn_in, position, radius)
+        margin = self.parameters.nutrient.margin
+        found = cells.once(exchange_beyond, layout.box, tissue, position, radius, margin)
+        return np.asarray(found)
 
     def take(self, layout: Layout, values: FloatArray, conditions: dict[str, Any]) -> None:
         """Take a solution with the conditions on its sides."""

@@ -13,6 +13,7 @@ from multicell.nutrient.field import NutrientField
 from multicell.nutrient.grid import ShellLayout, equivalent_ball_radius
 from multicell.nutrient.tissue import drawn_in, drawn_to_ball
 from multicell.scene import domain
+from multicell.vectors import lengths, weighted_mean
 
 if TYPE_CHECKING:
     from multicell.cells import Cells, FloatArray
@@ -55,6 +56,7 @@ def fitness(
         if error is not None:
             fields[name]["discretisation_error"] = error
         if not shells:
+            notes += _direction_notes(field, cells, field.level(time))
             continue
         departed = departure(cells.position, cells.radius)
         fields[name]["departure_from_a_ball"] = departed
@@ -86,6 +88,43 @@ def _rate_layer(
             f"The tissue reaches farther from its middle than the layer of {name}: shells "
             f"reach to its end, and the layer is {found:.3g} um instead of {wanted:.3g} um."
         )
+
+
+_AXIS, _DIAGONAL = 0.95, 0.5
+"""Least largest component of a direction along an axis; least second one between axes."""
+
+_MAX_UNEVEN = 0.01
+"""Difference of concentrations at the surface of round tissue along axes and along diagonals, over
+that of the medium, from which on it is reported."""
+
+
+def _direction_notes(field: NutrientField, cells: Cells, level: float) -> list[str]:
+    """Return a remark where round tissue finds more along the axes of its grid than between them.
+
+    What is compared are means over the outermost cells, beyond their scatter.
+    """
+    follows = field.parameters.domain is None and field.parameters.dimensions == 3
+    if not follows or len(cells) == 0 or departure(cells.position, cells.radius) > ROUND:
+        return []
+    away = cells.position - weighted_mean(cells.position, cells.volume)
+    distance = lengths(away)
+    surface = equivalent_ball_radius(cells.position, cells.radius)
+    outer = distance > surface - 2.0 * float(cells.radius.max())
+    direction = np.sort(np.abs(away / np.maximum(distance, 1e-9)[:, None]), axis=1)
+    found = field.sample(cells.position, cells.radius)
+    along = found[outer & (direction[:, 2] > _AXIS)]
+    between = found[outer & (direction[:, 1] > _DIAGONAL)]
+    if min(len(along), len(between)) < 10:
+        return []
+    scatter = np.sqrt(along.var() / len(along) + between.var() / len(between))
+    uneven = float(along.mean() - between.mean())
+    if abs(uneven) <= _MAX_UNEVEN * level + 2.0 * scatter:
+        return []
+    return [
+        f"{field.name} differs by {abs(uneven) / level:.1%} of the medium between the surface "
+        "along the axes of its grid and along the diagonals, though the tissue is round: "
+        "geometry = 'radial' has no axes."
+    ]
 
 
 _SAFETY = 1.25

@@ -35,14 +35,6 @@ _TISSUE = 0.5
 """Part of a node's volume that is cells from which on it is tissue."""
 
 
-_CUBE = 1.14445
-"""Harmonic radius of a cube seen from its middle, over half its edge.
-
-The harmonic function with the values 1/|x| on the faces is 1 / 1.14445 there (half edge 1; by its
-series of sines).
-"""
-
-
 @final
 @dataclass(frozen=True)
 class BoxLayout:
@@ -318,13 +310,13 @@ class ShellLayout:
         spacing: float,
         layer: float | None = None,
     ) -> ShellLayout:
-        """Lay it ``margin`` or more beyond the outermost cell; ``spacing`` is adapted.
+        """Lay it ``margin`` beyond the cells; ``spacing`` is adapted.
 
-        Its surface is that of the ball which lets as much through to its middle as the cube
-        that would be laid round the same cells: how a tissue is fed does not depend on the
-        geometry of the grid. With a ``layer`` the surface lies so far beyond the tissue's,
-        that of the ball with the same radius of gyration, or where the outermost centre is if
-        that is farther.
+        Its surface is where the layer ends on a grid of cubes
+        (:mod:`multicell.nutrient.layer`), in the mean over directions: how a tissue is fed does
+        not depend on the geometry of the grid. With a ``layer`` the surface lies so far beyond
+        the tissue's, that of the ball with the same radius of gyration. In both cases it is where
+        the outermost centre is if that is farther.
         """
         if len(position) == 0:
             return cls.to(np.zeros(3), margin if layer is None else layer, spacing)
@@ -333,8 +325,9 @@ class ShellLayout:
         centre = weighted_mean(position, cubes(radius))
         outermost = float(np.sqrt(squares(position - centre).max()))
         if layer is None:
-            low, high = extent(position, margin)
-            outer = max(outermost + margin, _CUBE * 0.5 * float((high - low).mean()))
+            from multicell.nutrient.layer import mean_end
+
+            outer = max(mean_end(position - centre, radius, margin), outermost)
         else:
             outer = max(equivalent_ball_radius(position, radius) + layer, outermost)
         return cls.to(centre, outer, spacing)

@@ -134,7 +134,7 @@ class FieldGroup:
         strays = all(f.parameters.open_medium for f in fields)
         self.layout, self._kept, self.position = self.first.lay(tissue, strays=strays)
         self.radius = reaching(tissue.position, self.position, tissue.extent)
-        self._set_equation(tissue.radius, demand)
+        self._set_equation(tissue.radius, demand, self.exchange(self.layout, tissue))
         first = np.array([self._first(f, time, carry) for f in fields])
         self.state = SimpleNamespace(data=first, equation=self.equation)
 
@@ -156,6 +156,12 @@ class FieldGroup:
         # zero where there is nothing; what that adds is counted as relaid
         found = take(field.values, field.layout, level)
         return found if found is field.values else np.maximum(found, 0.0)
+
+    def exchange(self, layout: Layout, tissue: Tissue) -> FloatArray | None:
+        """Return the exchange with the medium by which the layer round the tissue ends, if any."""
+        if not all(f.parameters.open_medium for f in self.fields.values()):
+            return None
+        return self.first.exchange(layout, tissue)
 
     def masses(self) -> FloatArray:
         """Return the content of each field, (m,) amol."""
@@ -232,7 +238,9 @@ class FieldGroup:
         rows = zip(self.names, amounts, relaid.tolist(), strict=True)
         return {name: self._exchange(row, relaid=more) for name, row, more in rows}
 
-    def _set_equation(self, radius: FloatArray, demand: Demand) -> None:
+    def _set_equation(
+        self, radius: FloatArray, demand: Demand, exchange: FloatArray | None
+    ) -> None:
         """Make the equation on the layout with the cells there; the last one stays if it holds.
 
         A layout of the same kind that follows the tissue leaves what it is made of as it was.
@@ -246,10 +254,12 @@ class FieldGroup:
             for f in fields:
                 if f.well_mixed is not None:
                     self.equation.substances[f.name].follow(f.well_mixed.concentration)
-            self.equation.place(layout, position, demand, self.radius)
+            self.equation.place(layout, position, demand, self.radius, exchange)
             return
         substances = {
-            f.name: substance(f.parameters, layout, position, radius, demand[f.name], f.schedule)
+            f.name: substance(
+                f.parameters, layout, position, radius, demand[f.name], f.schedule, exchange
+            )
             for f in fields
         }
         self.equation = FieldEquation(
@@ -274,8 +284,12 @@ def substance(
     radius: FloatArray,
     demand: tuple[FloatArray, FloatArray | None],
     medium: float | Schedule,
+    exchange: FloatArray | None,
 ) -> Substance:
-    """Return a field of a scene as a substance on a grid, with cells of these radii in µm."""
+    """Return a field of a scene as a substance on a grid, with cells of these radii in µm.
+
+    - ``exchange``: with the medium, see :meth:`multicell.nutrient.field.NutrientField.exchange`
+    """
     nutrient = parameters.nutrient
 
     def conditions(level: float) -> dict[str, Any]:
@@ -293,6 +307,7 @@ def substance(
         capacity=capacity,
         production=production,
         varied=varied,
+        exchange=exchange,
         decay=nutrient.decay,
         perfusion=nutrient.perfusion,
     )

@@ -14,7 +14,7 @@ from multicell.nutrient.fields import FieldSystem
 from multicell.nutrient.grid import restored, tissue_share
 from multicell.nutrient.group import substance
 from multicell.nutrient.parameters import FieldParameters
-from multicell.nutrient.tissue import reaching
+from multicell.nutrient.tissue import Tissue, reaching
 from multicell.scene.dependences import solving_order
 
 if TYPE_CHECKING:
@@ -91,7 +91,10 @@ def field_problem(
         parameters = FieldParameters.of(scene, name)
         medium = _medium(parameters, frame, name)
         demand = system.demand(name, cells, frame.concentrations, taken)
-        substances[name] = substance(parameters, layout, position, cells.radius, demand, medium)
+        group = next(group for group in system.groups if name in group.names)
+        exchange = group.exchange(layout, Tissue(cells.position, cells.radius))
+        about = layout, position, cells.radius, demand, medium, exchange
+        substances[name] = substance(parameters, *about)
     equation = FieldEquation(
         together.grid,
         substances,

@@ -6,7 +6,8 @@ entering through ghost values: py-pde's, by a test), the steady state solves
     F(c) = -D L c + m c + q c / (K + c) - s = 0
 
 with the largest uptake per volume q >= 0 and a supply s >= 0 at each node, and a rate m >= 0:
-decay, exchange with a flow, and the 1/dt of an implicit step in time.
+decay, exchange with a flow, and the 1/dt of an implicit step in time. Where the layer of medium
+round a tissue ends (:mod:`multicell.nutrient.layer`) m is larger, from node to node, and s too.
 
 **No concentration is negative.** -D L is an M-matrix (for values
 and slopes that supply alike), uptake is diagonal and vanishes with c: the solution satisfies
@@ -29,7 +30,8 @@ and the search accepts them in full.
 with the preconditioner S (-D L0 + d0)^-1 S: sine and cosine transforms invert the middle exactly,
 and the diagonal S = (w + d h^2 / 2 D)^-1/2 takes care of nodes where uptake is faster than
 diffusion, and of a coefficient w D that differs from place to place. On :data:`MULTIGRID_NODES`
-nodes and more a V-cycle of multigrid takes its place (:mod:`multicell.nutrient.multigrid`).
+nodes and more, and where a layer of medium ends inside of the grid, which transforms know nothing
+of, a V-cycle of multigrid takes its place (:mod:`multicell.nutrient.multigrid`).
 """
 
 from __future__ import annotations
@@ -70,6 +72,9 @@ MAX_SWEEPS = 1000  # over the nodes below zero; one to three are usual
 
 MULTIGRID_NODES = 50_000
 """Nodes from which on multigrid takes the place of transforms; see :mod:`.multigrid`."""
+
+MAX_SINGLE = 1e5
+"""Largest rate of uptake over D/h² at which multigrid, in single precision, is sure to help."""
 
 UPTAKE_SHIFT = 1.0
 """The preconditioner's uniform uptake, relative to the mean of the linearised uptake."""
@@ -120,12 +125,18 @@ def solve_steady(
     - ``supply``, (nx, ny, nz), mM/s, optional: what the nodes gain besides diffusion, not negative
     """
     nodes = math.prod(operator.shape)
+    few = nodes < MULTIGRID_NODES
     # the levels of multigrid have ends: where space repeats transforms serve at any size
-    if nodes < MULTIGRID_NODES or None in operator.kinds:
+    repeats = None in operator.kinds
+    if few or repeats:
         problem = _Problem(operator, sink, half_saturation, linear, supply, None)
-        return _solve(problem, start, _Linear(operator))
+        quickest = float(sink.max(initial=0.0)) / (half_saturation * operator.stiffness)
+        if operator.exchange is None or repeats or quickest > MAX_SINGLE:
+            return _solve(problem, start, _Linear(operator))
     from multicell.nutrient.multigrid import MultigridSolver
 
+    if few:  # with imbalances in double precision, which have no least size to speak of
+        return _solve(problem, start, MultigridSolver(operator, Team()))
     with Team(max(1, min(operator.threads, nodes // stencil.PART))) as team:
         problem = _Problem(operator, sink, half_saturation, linear, supply, team)
         return _solve(problem, start, MultigridSolver(operator, team))
@@ -235,6 +246,8 @@ class _State:
             problem.linear,
             op.ghost,
             op.weights,
+            op.exchange,
+            op.level,
             self.residual,
             self.rate,
             problem.team,
@@ -276,6 +289,8 @@ class _State:
             problem.linear,
             op.ghost,
             op.weights,
+            op.exchange,
+            op.level,
             self.uncertainty(),
             MAX_SWEEPS,
         )
@@ -290,8 +305,9 @@ class _State:
         """
         problem, varied = self.problem, self.problem.operator.varied
         most = 1.0 if varied is None else float(varied.max())
-        # the largest rate of a node, 1/s, but for the uptake's
+        # a sixth of the largest rate of a node, 1/s, but for the uptake's
         quick = problem.operator.stiffness * max(most, 1.0) + problem.linear / 6.0
+        quick += problem.operator.largest_exchange / 6.0
         rounding = 8.0 * sys.float_info.epsilon * quick * self.norm
         return max(tolerance * self.total / math.sqrt(self.c.size), rounding)
 

@@ -8,7 +8,8 @@ gives -1 and a slope 1. A test holds the stencil against py-pde's own operator.
 
 Where the coefficient of diffusion differs from place to place, ``weights`` holds it at all faces
 across x, y and z, relative to that of tissue: (nx + 1, ny, nz), (nx, ny + 1, nz), (nx, ny, nz + 1).
-Else it is None, and what it needs is not compiled. ``ghost`` is (6,), ``stiffness`` D/h² in 1/s.
+Else it is None, and what it needs is not compiled. So is ``exchange``, (nx, ny, nz) 1/s, the rate
+at which nodes exchange with a medium of ``level`` mM. ``ghost`` is (6,), ``stiffness`` D/h² in 1/s.
 """
 
 from __future__ import annotations
@@ -176,6 +177,8 @@ def write_imbalance(
     linear: float,
     ghost: FloatArray,
     weights: Weights,
+    exchange: FloatArray | None,
+    level: float,
     residual: Floats,
     rate: Floats,
     team: Team | None = None,
@@ -203,6 +206,8 @@ def write_imbalance(
         linear,
         ghost,
         weights,
+        exchange,
+        level,
         residual,
         rate,
         parts,
@@ -224,6 +229,8 @@ def imbalance_of_planes(
     linear: float,
     ghost: FloatArray,
     weights: Weights,
+    exchange: FloatArray | None,
+    level: float,
     residual: Floats,
     rate: Floats,
     parts: FloatArray,
@@ -257,6 +264,11 @@ def imbalance_of_planes(
                 left[k] = row[k]
                 slopes[k] = slope + linear
                 sinks[k] = spent
+            if exchange is not None:
+                pull = exchange[i, j]
+                for k in range(nz):  # the difference is exact, which two products are not
+                    row[k] += pull[k] * (level - e[k])
+                    left[k], slopes[k] = row[k], slopes[k] + pull[k]
             for k in range(nz):
                 squares += row[k] * row[k]
                 total += sinks[k]
@@ -275,6 +287,8 @@ def balance_negative(
     linear: float,
     ghost: FloatArray,
     weights: Weights,
+    exchange: FloatArray | None,
+    level: float,
     zero: float,
     most: int,
 ) -> int:
@@ -302,6 +316,8 @@ def balance_negative(
             if sweep > 0 and c[i, j, k] >= 0.0:
                 continue
             gain, loss = source[i, j, k], linear
+            if exchange is not None:
+                gain, loss = gain + level * exchange[i, j, k], loss + exchange[i, j, k]
             for face in range(6):
                 w = _weight(weights, face, i, j, k)
                 step = 2 * (face % 2) - 1

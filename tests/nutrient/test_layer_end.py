@@ -1,0 +1,175 @@
+"""The layer of medium round a tissue ends at one distance, on a grid with corners."""
+
+import numpy as np
+import pytest
+from scipy import ndimage, spatial, special
+
+import multicell as mc
+from multicell.nutrient.cartesian import Box
+from multicell.nutrient.field import NutrientField
+from multicell.nutrient.layer import HELD_RATE, exchange_beyond, mean_end
+from multicell.nutrient.parameters import FieldParameters
+from multicell.scene.nutrient import Nutrient
+
+D, MARGIN, LEVEL = 2000.0, 50.0, 0.05
+
+
+def field(spacing, half, **changes):
+    nutrient = Nutrient(
+        diffusion=D, margin=MARGIN, boundary=LEVEL, half_saturation=half, **changes.pop("of", {})
+    )
+    given = {"spacing": spacing, "height": 10.0, "regime": "steady", "dimensions": 3} | changes
+    return NutrientField("a", FieldParameters(nutrient, **given))
+
+
+def packed(radius, apart=14.0, axes=3):
+    """Return places on a lattice in a ball or disc, shaken by up to a quarter."""
+    random, n = np.random.default_rng(3), int(radius / apart) + 1
+    along = apart * np.arange(-n, n + 1)
+    places = np.stack(np.meshgrid(*[along] * axes, indexing="ij"), axis=-1).reshape(-1, axes)
+    places = places + random.uniform(-0.25, 0.25, places.shape) * apart
+    places = places[(places**2).sum(axis=1) < radius**2]
+    return np.pad(places, ((0, 0), (0, 3 - axes))), apart**axes
+
+
+def directions(position, radius):
+    """Return which cells at the surface lie along axes and which along diagonals."""
+    away = np.sqrt((position**2).sum(axis=1))
+    unit = np.abs(position / np.maximum(away, 1.0)[:, None])
+    outer = (away > radius - 20.0) & (away < radius - 4.0)
+    return outer & (unit.max(axis=1) > 0.96), outer & (np.sort(unit, axis=1)[:, 1] > 0.5)
+
+
+@pytest.mark.parametrize("order", ["first", "zeroth"])
+def test_a_consuming_ball_in_its_layer(order):
+    """Both uptakes against closed forms: at the surface, along axes and along diagonals, to 1 %."""
+    radius = 120.0
+    position, volume = packed(radius)
+    end = mean_end(position, np.full(len(position), 8.0), MARGIN)
+    assert end == pytest.approx(radius + MARGIN, abs=6.0)
+    gap = 1.0 / radius - 1.0 / end
+    away = np.sqrt((position**2).sum(axis=1))
+    if order == "first":
+        rate, half = 0.5, 1e4
+        k = np.sqrt(rate / D)
+        rise = k * radius * np.cosh(k * radius) - np.sinh(k * radius)
+        scale = LEVEL / (np.sinh(k * radius) / radius + rise * gap)
+        exact, each = scale * np.sinh(k * away) / away, rate * half * volume
+    else:
+        rate, half = 0.012, 1e-9
+        surface = LEVEL - rate * radius**3 / (3.0 * D) * gap
+        exact, each = surface - rate / (6.0 * D) * (radius**2 - away**2), rate * volume
+    oxygen = field(10.0, half)
+    size = np.full(len(position), 8.0)
+    report = oxygen.solve(position, np.full(len(position), each), radius=size)
+    found = oxygen.sample(position, size)
+    axes, diagonals = directions(position, radius)
+    assert axes.sum() > 20
+    assert diagonals.sum() > 20
+    along, across = (float((found[x] / exact[x]).mean()) for x in (axes, diagonals))
+    assert along == pytest.approx(1.0, abs=0.012)
+    assert across == pytest.approx(1.0, abs=0.012)
+    assert along == pytest.approx(across, abs=0.01)
+    assert report.inflow == pytest.approx(report.uptake, rel=1e-8)
+
+
+def test_a_consuming_disc_in_its_layer():
+    """Of first order in a plane: c = A I0(k r), and A' + B log r in the layer."""
+    radius, rate = 150.0, 0.5
+    position, area = packed(radius, axes=2)
+    oxygen = field(8.0, 1e4, dimensions=2)
+    size = np.full(len(position), 8.0)
+    oxygen.solve(position, np.full(len(position), rate * 1e4 * area * 10.0), radius=size)
+    away = np.sqrt((position**2).sum(axis=1))
+    angle = np.linspace(0.0, 2.0 * np.pi, 360, endpoint=False)
+    along = position[:, :1] * np.cos(angle) + position[:, 1:2] * np.sin(angle)
+    left = MARGIN**2 - (away**2)[:, None] + along**2
+    ends = np.where(left > 0.0, along + np.sqrt(np.maximum(left, 0.0)), 0.0).max(axis=0)
+    k, end = np.sqrt(rate / D), float(ends.mean())
+    flow = k * radius * special.i1(k * radius)
+    exact = LEVEL * special.i0(k * away)
+    exact = exact / (special.i0(k * radius) + flow * np.log(end / radius))
+    found = oxygen.sample(position, size)
+    outer = (away > radius - 20.0) & (away < radius - 4.0)
+    diagonal = np.abs(np.abs(position[:, 0]) - np.abs(position[:, 1])) < 0.3 * away
+    axis = np.minimum(np.abs(position[:, 0]), np.abs(position[:, 1])) < 0.25 * away
+    ratios = [float((found[x] / exact[x]).mean()) for x in (outer & axis, outer & diagonal)]
+    # the lattice ends 5 um nearer along the axes
+    assert ratios == pytest.approx([1.0, 1.0], abs=0.02)
+    assert ratios[0] == pytest.approx(ratios[1], abs=0.015)
+
+
+def brute(box, position, reach):
+    """Return the nodes beyond all balls that are joined to the ends, and distances from cells."""
+    axes = [
+        o + (np.arange(-1, n + 1) + 0.5) * box.spacing
+        for o, n in zip(box.origin, box.shape, strict=True)
+    ]
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    away, _ = spatial.cKDTree(position).query(nodes)
+    label, _ = ndimage.label(away >= reach)
+    inner = (slice(1, -1),) * 3
+    return (label == label[0, 0, 0])[inner] & (label[inner] > 0), away[inner]
+
+
+def test_nodes_beyond_the_layer_and_none_in_a_hollow():
+    random = np.random.default_rng(5)
+    z, angle = random.uniform(-1, 1, 900), random.uniform(0, 2 * np.pi, 900)
+    flat = np.sqrt(1 - z * z)
+    shell = 120.0 * np.stack([flat * np.cos(angle), flat * np.sin(angle), z], axis=1)
+    box = Box((-180.0, -180.0, -180.0), (36, 36, 36), 10.0)
+    radius = np.full(900, 8.0)
+    found = exchange_beyond(box, shell, shell, radius, 40.0)
+    medium, away = brute(box, shell, 40.0)
+    assert found[18, 18, 18] == 0.0  # 120 um from all cells, and shut in
+    assert found[0, 0, 0] == HELD_RATE
+    assert (found[medium] == HELD_RATE).all()
+    assert away[(found == HELD_RATE) & ~medium].min(initial=40.0) > 39.7  # as good as at the end
+    near = ndimage.binary_dilation(medium) & ~medium
+    assert (found[near] >= 0.0).all()
+    assert (found[~near & ~medium] == 0.0).all()
+
+
+def test_the_end_moves_with_the_tissue_without_jumps():
+    box, place = Box((-80.0, -80.0, -80.0), (16, 16, 16), 10.0), np.array([[0.3, 0.2, -0.1]])
+    totals = []
+    for shift in np.linspace(0.0, 10.0, 41):
+        moved = place + np.array([shift, 0.0, 0.0])
+        rates = exchange_beyond(box, moved, moved, np.array([8.0]), 50.0)
+        totals.append(float((rates / (rates + 6.0)).sum()))
+    assert np.abs(np.diff(totals)).max() < 0.01 * max(totals)
+
+
+def test_a_cell_that_strays_carries_no_layer_away():
+    box = Box((-100.0, -100.0, -100.0), (20, 20, 20), 10.0)
+    near, size = np.zeros((2, 3)), np.full(2, 8.0)
+    gone = np.array([[0.0, 0.0, 0.0], [900.0, 0.0, 0.0]])
+    alone = exchange_beyond(box, near[:1], near[:1], size[:1], 50.0)
+    np.testing.assert_array_equal(exchange_beyond(box, near, gone, size, 50.0), alone)
+
+
+def test_a_transient_field_ends_there_and_its_account_closes():
+    scene = mc.load_scene("spheroid").with_changes(
+        {"initial.count": 60, "duration": "40 min", "nutrients.oxygen.regime": "transient"}
+    )
+    simulation = mc.Simulation(scene)
+    while not simulation.finished:
+        simulation.step()
+    summary = simulation.summary()
+    assert abs(summary["ledger"]["oxygen"]["relative_remainder"]) < 1e-9
+    assert summary["ledger"]["oxygen"]["inflow"] > 0.0
+    values = simulation.fields["oxygen"].values
+    assert values[0, 0, 0] == pytest.approx(0.05, rel=1e-3)
+
+
+def test_py_pde_finds_the_field_of_a_run():
+    scene = mc.load_scene("spheroid").with_changes({"initial.count": 60, "duration": "10 min"})
+    result = mc.run(scene)
+    frame = result.frames[-1]
+    problem = mc.field_problem(scene, frame)
+    found = problem.equation.solve(problem.state, 1.0, solver="multicell-steady", tracker=None)
+    np.testing.assert_allclose(found.data, frame.fields["oxygen"].values, rtol=1e-6)
+    rest = problem.equation.evolution_rate(found, frame.time).data
+    assert np.abs(rest).max() < 1e-6
+    later = problem.equation.solve(found, 5.0, solver="multicell-implicit", tracker=None)
+    np.testing.assert_allclose(later.data, found.data, rtol=1e-4)
