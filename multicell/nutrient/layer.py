@@ -16,7 +16,7 @@ in by them is medium.
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numba import njit
@@ -25,12 +25,8 @@ from numpy.typing import NDArray
 from multicell.cells import FloatArray
 from multicell.compiling import INNER, KERNEL
 from multicell.nutrient.cartesian import Box
+from multicell.scene.field_solvers import HELD_RATE
 from multicell.vectors import corners, lengths
-
-HELD_RATE: Final = 100.0
-"""Rate of exchange of a node beyond the layer over D/h², and the largest of one at its end. About a
-hundredth of the difference across a spacing is left between such a node and the medium, as if the
-layer ended by so much of a spacing later. Larger rates lose more digits of the account."""
 
 _CLOSED: Final = 1.5
 """Least reach over the radius of a cell: gaps in tissue are no medium, however thin the layer."""
@@ -187,10 +183,25 @@ def _beyond(distance):
     for i in range(nx):
         for j in range(ny):
             inside = 0 < i < nx - 1 and 0 < j < ny - 1
-            ends = max(nz - 1, 1) if inside and nz > 1 else 1
-            for k in range(0, nz, ends):
-                n = (i * ny + j) * nz + k
-                if not (inside and nz == 1) and found[n] >= 0.0:
+            if inside and nz == 1:
+                continue
+            row, marks = distance[i, j], medium[i, j]
+            for turn in range(2):  # along the rows first: all but hollows behind overhangs
+                for m in range(nz):
+                    k = m if turn == 0 else nz - 1 - m
+                    if row[k] >= 0.0:
+                        marks[k] = 1
+                    elif inside:
+                        break
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                if distance[i, j, k] < 0.0 or medium[i, j, k]:
+                    continue
+                beside = (i > 0 and medium[i - 1, j, k]) or (i < nx - 1 and medium[i + 1, j, k])
+                beside |= (j > 0 and medium[i, j - 1, k]) or (j < ny - 1 and medium[i, j + 1, k])
+                if beside:
+                    n = (i * ny + j) * nz + k
                     flat[n], stack[filled] = 1, n
                     filled += 1
     while filled > 0:
@@ -243,6 +254,18 @@ def exchanged(exchange: FloatArray, c: FloatArray, level: float) -> tuple[float,
 
     - ``level``, mM: of the medium
     """
-    net: Any = exchange * (level - c)
-    gained = float(np.maximum(net, 0.0).sum())
-    return gained, gained - float(net.sum())
+    gained, given = _exchanged(exchange.ravel(), c.ravel(), level)
+    return float(gained), float(given)
+
+
+@njit(**KERNEL)
+def _exchanged(exchange, c, level):
+    gained = given = 0.0
+    for n in range(c.size):
+        if exchange[n] > 0.0:
+            net = exchange[n] * (level - c[n])
+            if net > 0.0:
+                gained += net
+            else:
+                given -= net
+    return gained, given

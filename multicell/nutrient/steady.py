@@ -149,9 +149,9 @@ def _solve(
     if not np.count_nonzero(problem.source):
         # nothing comes in: what iterations from elsewhere would leave is rounding, of either sign
         start = np.zeros_like(start, dtype=np.float64)
-    state, done = _newton(
-        _State(problem, np.array(start, dtype=np.float64)), BALANCE_TOLERANCE, solver
-    )
+    first = np.array(start, dtype=np.float64)
+    problem.balance_ends(first)
+    state, done = _newton(_State(problem, first), BALANCE_TOLERANCE, solver)
     if not done and np.isfinite(state.size):
         state, done = _descend(problem, start, solver)
     if done and not state.lift():
@@ -220,6 +220,14 @@ class _Problem:
     def __post_init__(self) -> None:
         faces = self.operator.brought()
         self.source = faces if self.supply is None else faces + self.supply
+
+    def balance_ends(self, c: FloatArray) -> None:
+        """Improve a guess where a layer of medium ends; see :func:`.stencil.balance_ends`."""
+        op = self.operator
+        if op.exchange is None:
+            return
+        about = self.sink, self.source, self.half, op.stiffness, self.linear, op.ghost, op.weights
+        stencil.balance_ends(c, *about, op.exchange, op.level, op.largest_exchange)
 
 
 @final
