@@ -16,17 +16,18 @@ in by them is medium.
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
-from multicell.compiling import INNER, KERNEL
+from multicell.compiling import INNER, KERNEL, typed
 from multicell.nutrient.cartesian import Box
 from multicell.scene.field_solvers import HELD_RATE
 from multicell.vectors import corners, lengths
+
+_jit, _inner = typed(**KERNEL), typed(**INNER)
 
 _CLOSED: Final = 1.5
 """Least reach over the radius of a cell: gaps in tissue are no medium, however thin the layer."""
@@ -83,8 +84,8 @@ def _directions(count: int) -> FloatArray:
 _DIRECTIONS: Final = _directions(100)
 
 
-@njit(**KERNEL)
-def _reach_along(directions, position, reach, found):
+@_jit
+def _reach_along(directions: Any, position: Any, reach: Any, found: Any) -> None:
     """Write how far along directions from the origin the balls round the cells reach."""
     least = -np.inf
     for cell in range(position.shape[0]):
@@ -129,14 +130,14 @@ def _outer(points: FloatArray, reach: FloatArray) -> NDArray[np.int64]:
     return np.flatnonzero(outer)
 
 
-@njit(**INNER)
-def _ends(middle, far, count):
+@_inner
+def _ends(middle: float, far: float, count: int) -> Any:
     """Return the first node within ``far`` of a place along an axis, and the one after the last."""
     return max(int(np.ceil(middle - far)), 0), min(int(np.floor(middle + far)) + 1, count)
 
 
-@njit(**KERNEL)
-def _stamp(points, reach, distance):
+@_jit
+def _stamp(points: Any, reach: Any, distance: Any) -> None:
     """Write the distance of nodes from the balls' surfaces, negative inside, up to one spacing.
 
     Most balls have one size: of these squared distances from the middles are compared.
@@ -173,8 +174,8 @@ def _stamp(points, reach, distance):
                 found[n] = np.sqrt(found[n]) - size
 
 
-@njit(**KERNEL)
-def _beyond(distance):
+@_jit
+def _beyond(distance: Any) -> Any:
     """Return which nodes are medium: outside all balls, and joined to the ends by such nodes."""
     nx, ny, nz = distance.shape
     medium = np.zeros((nx, ny, nz), np.uint8)
@@ -221,8 +222,8 @@ def _beyond(distance):
     return medium
 
 
-@njit(**KERNEL)
-def _exchange(distance, medium, flat, out):
+@_jit
+def _exchange(distance: Any, medium: Any, flat: bool, out: Any) -> None:
     """Write the rates of exchange over D/h²."""
     nx, ny, nz = out.shape
     up = 0 if flat else 1
@@ -258,8 +259,8 @@ def exchanged(exchange: FloatArray, c: FloatArray, level: float) -> tuple[float,
     return float(gained), float(given)
 
 
-@njit(**KERNEL)
-def _exchanged(exchange, c, level):
+@_jit
+def _exchanged(exchange: Any, c: Any, level: float) -> Any:
     gained = given = 0.0
     for n in range(c.size):
         if exchange[n] > 0.0:
