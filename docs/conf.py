@@ -1,4 +1,4 @@
-"""How Sphinx makes the documentation.
+"""Configuration of Sphinx for the documentation.
 
 From the top folder, after ``pip install ".[docs]"``::
 

@@ -51,7 +51,7 @@ class Pair:
 
     @property
     def constants(self) -> tuple[float, float]:
-        """What the laws take."""
+        """Arguments of the laws."""
         return self.modulus, self.radius
 
     @property

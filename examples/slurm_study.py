@@ -31,7 +31,7 @@ VARY = {
     "nutrients.oxygen.boundary": "0.07,0.14,0.28 mM",
     "nutrients.glucose.boundary": "0.8,1.8,5.5,16.5 mM",
 }
-# Dask would look a hundred times a second at what a worker does
+# Dask would profile a worker a hundred times a second
 QUIET = ["export DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED=False"]
 
 

@@ -28,6 +28,13 @@ with open(os.path.join(os.path.dirname(__file__), "__init__.pyi"), encoding="utf
     _LINES = [line.split() for line in _stub if line.startswith("from ")]
 _MODULES = {words[3]: words[1] for words in _LINES}
 __all__ = sorted(_MODULES)
+_ELSEWHERE = {
+    "explain": "it is a command, multicell explain SCENE",
+    "play": "it is a command, multicell play SCENE",
+    "plot": "a result has the pictures, result.plot.section()",
+    "view": "a notebook shows a result, and multicell view FOLDER opens one",
+    "workprecision": "use multicell.compare",
+}
 
 
 def __getattr__(name: str) -> Any:
@@ -36,7 +43,11 @@ def __getattr__(name: str) -> Any:
         return import_module("multicell.testing")
     if name in _MODULES:
         return getattr(import_module(_MODULES[name]), name)
-    raise AttributeError(f"module 'multicell' has no attribute {name!r}")
+    said = f"module 'multicell' has no attribute {name!r}"
+    if name in _ELSEWHERE:
+        said += f": {_ELSEWHERE[name]}"
+    # with name and module Python adds the likely name where nobody catches this
+    raise AttributeError(said, name=name, obj=sys.modules[__name__])
 
 
 def __dir__() -> list[str]:

@@ -58,6 +58,7 @@ from multicell.results.own_observable import observable as observable
 from multicell.runner import resume as resume
 from multicell.runner import run as run
 from multicell.scene.coarsening import coarsen as coarsen
+from multicell.scene.foreign_cells import read_cells as read_cells
 from multicell.scene.reactions import Reaction as Reaction
 from multicell.scene.scene import Scene as Scene
 from multicell.scene.scene import load_scene as load_scene

@@ -5,7 +5,9 @@ from __future__ import annotations
 import gc
 import os
 import sys
+from functools import partial
 
+from multicell.host.call_stack import call_with_room
 from multicell.host.interrupts import end_command, watch_command
 
 _RARELY = 100_000
@@ -21,7 +23,7 @@ def run() -> None:
         watch_command()
         from multicell.cli.main import main
 
-        main(prog_name="multicell")
+        call_with_room(partial(main, prog_name="multicell"))
     except KeyboardInterrupt:
         end_command()
         if sys.stderr is not None:

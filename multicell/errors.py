@@ -74,7 +74,7 @@ def exit_code_of(error: BaseException) -> ExitCode:
 
 
 def is_machine_failure(error: BaseException | None) -> bool:
-    """Return whether the machine is the cause of an error, not what a file holds.
+    """Return whether the machine is the cause of an error, not the content of a file.
 
     A file that may not be read, is locked or gone, a full disk, too many open files and too little
     memory say nothing of the file's content: nothing may be removed for them.

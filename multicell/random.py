@@ -91,7 +91,7 @@ def thresholds(
 def uniform(
     seed: int,
     purpose: Purpose,
-    step: int | IntArray,
+    event: int | IntArray,
     ids: NDArray[np.int64],
     count: int = 1,
     attempt: int = 0,
@@ -100,25 +100,25 @@ def uniform(
 
     - ``seed``: seed of the run, 0 ... 2**64 - 1
     - ``purpose``: what the numbers are for: purposes are independent of each other
-    - ``step``: index of the coupling step or the event, 0 or more; one for all or of each cell
+    - ``event``: index of the coupling step or the event, 0 or more; one for all or of each cell
     - ``ids``, (n,) int64: identities of the cells, 0 or more
     - ``count``: numbers a cell
-    - ``attempt``: distinguishes repeated draws for the same cell, step and purpose
+    - ``attempt``: distinguishes repeated draws for the same cell, event and purpose
 
     Returns (n, count) float64.
 
-    Raises SceneError if the seed does not fit into 64 bits; ValueError if ``step``, ``count``,
+    Raises SceneError if the seed does not fit into 64 bits; ValueError if ``event``, ``count``,
     ``attempt`` or an identity is negative.
     """
     ids = np.asarray(ids, dtype=np.int64)
     if not 0 <= seed < _WORD:
         raise SceneError("seed", f"is {seed}, must be a whole number from 0 to 2**64 - 1")
-    if min(np.min(step, initial=0), count, attempt) < 0 or ids.min(initial=0) < 0:
-        raise ValueError("step, count, attempt and cell ids must not be negative")
+    if min(np.min(event, initial=0), count, attempt) < 0 or ids.min(initial=0) < 0:
+        raise ValueError("event, count, attempt and cell ids must not be negative")
     blocks = -(-count // 4)
     counter = np.empty((4, len(ids), blocks), dtype=np.uint64)
     counter[0] = np.arange(blocks, dtype=np.uint64)
-    counter[1] = np.reshape(step, (-1, 1))
+    counter[1] = np.reshape(event, (-1, 1))
     counter[2] = ids[:, None]
     counter[3] = attempt
     words = philox(counter, (seed, int(purpose))).transpose(1, 2, 0)
@@ -127,14 +127,19 @@ def uniform(
 
 
 def normal(
-    seed: int, purpose: Purpose, step: int, ids: NDArray[np.int64], count: int = 1, attempt: int = 0
+    seed: int,
+    purpose: Purpose,
+    event: int,
+    ids: NDArray[np.int64],
+    count: int = 1,
+    attempt: int = 0,
 ) -> FloatArray:
     """Return standard normal random numbers, (n, count), by the method of Box and Muller.
 
     Parameters and errors are those of :func:`uniform`.
     """
     pairs = -(-count // 2)
-    u = uniform(seed, purpose, step, ids, 2 * pairs, attempt)
+    u = uniform(seed, purpose, event, ids, 2 * pairs, attempt)
     # 1 - u lies in (0, 1]: its logarithm is finite
     length = np.sqrt(-2.0 * np.log(1.0 - u[:, :pairs]))
     angle = 2.0 * np.pi * u[:, pairs:]
@@ -143,7 +148,7 @@ def normal(
 
 
 def truncated_normal(
-    seed: int, purpose: Purpose, step: int, ids: NDArray[np.int64], limit: float = 3.0
+    seed: int, purpose: Purpose, event: int, ids: NDArray[np.int64], limit: float = 3.0
 ) -> FloatArray:
     """Return standard normal random numbers with ``abs(z) <= limit``, (n,).
 
@@ -154,18 +159,18 @@ def truncated_normal(
     if not limit >= 0.1:
         raise ValueError(f"limit is {limit}, must be at least 0.1")
     ids = np.asarray(ids, dtype=np.int64)
-    z = normal(seed, purpose, step, ids)[:, 0]
+    z = normal(seed, purpose, event, ids)[:, 0]
     attempt = 0
     outside = np.flatnonzero(np.abs(z) > limit)
     while outside.size:
         attempt += 1
-        z[outside] = normal(seed, purpose, step, ids[outside], attempt=attempt)[:, 0]
+        z[outside] = normal(seed, purpose, event, ids[outside], attempt=attempt)[:, 0]
         outside = outside[np.abs(z[outside]) > limit]
     return z
 
 
 def directions(
-    seed: int, purpose: Purpose, step: int, ids: NDArray[np.int64], dimensions: int
+    seed: int, purpose: Purpose, event: int, ids: NDArray[np.int64], dimensions: int
 ) -> FloatArray:
     """Return random unit vectors (n, 3), spread uniformly.
 
@@ -173,7 +178,7 @@ def directions(
     uniform in [0, 2 pi), or in two dimensions in its equator. Parameters and errors are those of
     :func:`uniform`.
     """
-    u = uniform(seed, purpose, step, ids, dimensions - 1)
+    u = uniform(seed, purpose, event, ids, dimensions - 1)
     azimuth = 2.0 * np.pi * u[:, -1]
     if dimensions == 2:
         return np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(len(azimuth))], axis=1)

@@ -7,13 +7,14 @@ import time as clock
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
-from functools import wraps
+from functools import partial, wraps
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, final
 
 from multicell.compiling.threads import thread_count
 from multicell.errors import ExitCode, OutputError, SceneError
+from multicell.host.call_stack import call_with_room
 from multicell.host.interrupts import UNCUT, WHOLE_STEP
 from multicell.host.memory import Returns, peak
 from multicell.integrators.base import info_of
@@ -76,7 +77,7 @@ def _refusing_scene_keys(function: Callable[P, Result]) -> Callable[P, Result]:
                 if name in specs(Scene):
                     hint = f"It is a key of the scene: scene.with_changes({name}=...)."
                 raise SceneError(name, f"is no option of multicell.{function.__name__}", hint)
-        return function(*given, **options)
+        return call_with_room(partial(function, *given, **options))
 
     return called
 

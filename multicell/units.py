@@ -37,6 +37,7 @@ _UNITS = {
     "um^2/s": (1e-9, 1e9, "a diffusion coefficient", "2000 um^2/s"),
     "mM": (1e-12, 1e5, "a concentration", "0.07 mM"),
     "mM/um": (1e-15, 1e6, "a gradient of concentration", "1e-4 mM/um"),
+    "amol": (1e-12, 1e30, "an amount", "5 fmol"),
     "amol/s": (1e-12, 1e12, "an amount per time", "20 amol/s"),
     "1/s": (1e-15, 1e6, "a rate", "1e-5 1/s"),
     "mM/s": (1e-15, 1e12, "a change of concentration", "1e-3 mM/s"),
@@ -141,6 +142,15 @@ def finite(value: object, path: str, wanted: str, hint: str = "") -> float:
     if not math.isfinite(number):
         raise SceneError(path, f"is {shown(value)}, must be a finite number", hint)
     return number + 0.0  # there is one zero: -0.0 would be written and drawn as another
+
+
+def whole_number(text: str) -> int | None:
+    """Return the number below 2^63 that a text of digits is; None for any other text.
+
+    Python refuses to read one of thousands of digits.
+    """
+    number = int(text.lstrip("0")[:20] or "0") if text.isdecimal() else 2**63
+    return number if number < 2**63 else None
 
 
 def shown(value: object) -> str:

@@ -34,7 +34,7 @@ def pytest_addoption(parser):
     group.addoption("--kills", type=int, default=2, help="runs that are killed")
     group.addoption("--full-disks", type=int, default=2, help="runs on a disk that gets full")
     group.addoption("--damages", type=int, default=6, help="folders of each kind that are damaged")
-    group.addoption("--interrupts", type=int, default=3, help="processes that are interrupted")
+    group.addoption("--interrupts", type=int, default=2, help="processes that are interrupted")
     group.addoption("--keys", type=int, default=0, help="keys of each scene that are changed")
     group.addoption("--calibrations", type=int, default=0, help="repeats of fits on known data")
     group.addoption(
@@ -42,7 +42,29 @@ def pytest_addoption(parser):
     )
 
 
+USUAL = {"hertz", "jkr", "none", "auto", "cvode", "euler", "rkc2"}
+"""Contact laws and methods whose kernels short tests compile."""
+
+
+def _compiles_more(item):
+    """Return whether a parameter of a test is a law or a method other than the usual ones."""
+    from multicell.contact.registry import CONTACT_LAWS
+    from multicell.integrators.registry import METHODS
+
+    laws = {kind: name for name, kind in CONTACT_LAWS.items()}
+    for value in item.callspec.params.values() if hasattr(item, "callspec") else ():
+        kind = value if isinstance(value, type) else type(value)
+        name = getattr(getattr(kind, "info", None), "name", laws.get(kind, value))
+        if isinstance(name, str) and name in {*METHODS, *CONTACT_LAWS} - USUAL:
+            return True
+    return False
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
+    for item in items:
+        if item.get_closest_marker("kernels") and _compiles_more(item):
+            item.add_marker(pytest.mark.slow)
     # here and not by an option -m, in whose place the user's would stand
     if "benchmark" not in config.option.markexpr:
         timed = [item for item in items if item.get_closest_marker("benchmark")]
@@ -77,7 +99,7 @@ def _memory():
 @pytest.fixture(scope="session", autouse=True)
 def letters_of_pages():
     """Check every picture that any test puts into a page: its letters can be read there."""
-    from letters import SMALLEST, smallest_letters
+    from letters import PAGE, SMALLEST, smallest_letters
 
     from multicell.report.plots import style
 
@@ -86,7 +108,11 @@ def letters_of_pages():
     def checked(figure):
         size, text = smallest_letters(figure)
         assert size >= SMALLEST, f"{text!r} has {size:.2f} pt at the width of its page"
-        return inline(figure)
+        shown = inline(figure)
+        size, text = smallest_letters(figure, shown.least)
+        assert size + 1e-9 >= SMALLEST, f"{text!r} has {size:.2f} pt on a narrow page"
+        assert shown.least <= PAGE
+        return shown
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(style, "inline_picture", checked)
@@ -140,3 +166,21 @@ def small_disk(tmp_path):
         pytest.skip("to mount a small disk one must be root")
     yield mount, unmount
     unmount()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A browser without a window; software draws for it."""
+    import shutil
+
+    names = ("chromium", "chromium-browser", "google-chrome")
+    found = next(filter(None, map(shutil.which, names)), None)
+    if found is None:
+        pytest.skip("there is no Chromium on this machine")
+    from playwright.sync_api import sync_playwright
+
+    software = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    with sync_playwright() as tools:
+        started = tools.chromium.launch(executable_path=found, args=software)
+        yield started
+        started.close()

@@ -13,7 +13,11 @@ from running import finished
 
 from multicell.integrators.registry import METHODS
 
+pytestmark = pytest.mark.kernels
+
 SCRIPT = Path(bits.__file__)
+COMMON = ("death", "fields", "friction", "phases", "receptors")
+"""What short tests go on with; each of the others compiles kernels of its own."""
 
 
 def digests(group, threads=1, **environment):
@@ -74,7 +78,13 @@ def test_every_method_goes_on_from_any_frame(name):
     assert ends == dict.fromkeys(ends, end)
 
 
-@pytest.mark.parametrize("case", sorted(bits.PHYSICS))
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(case, marks=() if case in COMMON else pytest.mark.slow)
+        for case in sorted(bits.PHYSICS)
+    ],
+)
 def test_every_physics_goes_on_from_any_frame(case):
     name, changes = bits.PHYSICS[case]
     changes = {**changes, "initial.count": 60}

@@ -55,7 +55,7 @@ OTHERS = ("rkc2", "euler", "cvode", "rosenbrock")
     ["auto", *(pytest.param(m, marks=pytest.mark.slow) for m in OTHERS)],
 )
 def test_no_kernel_calls_python(method):
-    """What kernels return is made without Python, where a signal's handler could raise."""
+    """Results of kernels are made without Python, where a signal's handler could raise."""
     scene, called = SCENE.with_changes({"integrator.method": method}), set()
     before = Simulation(scene, threads=1)
     for _ in range(2):  # what a step of these two needs is compiled then
@@ -246,6 +246,7 @@ print("whole")
 """
 
 
+@pytest.mark.slow
 def test_no_press_cuts_a_file_that_is_written(tmp_path):
     done = subprocess.run(
         [sys.executable, "-X", "faulthandler", "-c", WRITES], capture_output=True, text=True,

@@ -10,6 +10,7 @@ import pytest
 import multicell
 
 PACKAGE = Path(multicell.__file__).parent
+TOP = Path(__file__).parent.parent
 
 
 # each family of methods hands its own to the registry by this name
@@ -94,8 +95,11 @@ def titles_like_questions(folder):
     return found
 
 
-def test_titles_name_their_subject():
-    assert titles_like_questions(PACKAGE) == []
+@pytest.mark.parametrize(
+    "folder", [PACKAGE, *(TOP / name for name in ("tests", "docs", "examples"))]
+)
+def test_titles_name_their_subject(folder):
+    assert titles_like_questions(folder) == []
 
 
 def test_titles_that_ask_are_seen(tmp_path):

@@ -1,4 +1,4 @@
-"""What is changed of numba's insides for speed does what numba's own did.
+"""Changes of numba's insides for speed give the results of numba's own.
 
 Of the rest of the table in ``multicell/compiling/numba_068.py``: stamps in ``test_stale_code``,
 folders and files of others in ``cli/test_closed_folders``, boxes and signals in

@@ -15,6 +15,7 @@ from multicell import testing
 from multicell.cli.main import main
 
 PACKAGE = Path(multicell.__file__).parent
+DOCS = Path(__file__).parent.parent / "docs"
 DIALECT = {
     r"\b(fore)?(tells?|told)\b": "reports, predicts, distinguishes",
     r"\b(goes|went|gone) on\b": "continues, resumed",
@@ -58,6 +59,17 @@ def test_texts_of_the_package_are_in_plain_words():
         for phrase in phrases(text)
     ]
     assert found == []
+
+
+def questions(path):
+    """Return the places of a module where a comment or a text has a question for a noun."""
+    return [f"{path}:{line}" for line, text in texts(path) if QUESTION.search(text)]
+
+
+def test_comments_docstrings_and_messages_ask_no_questions():
+    files = [*PACKAGE.rglob("*.py"), *(DOCS / "programs").glob("*.py")]
+    assert len(files) > 400
+    assert [place for path in sorted(files) for place in questions(path)] == []
 
 
 def test_templates_and_scenes_are_in_plain_words():
@@ -121,4 +133,8 @@ def test_phrases_are_seen(tmp_path):
     assert [phrase.partition(":")[0] for phrase in found] == ["'goes on'", "'the eye stands'"]
     assert QUESTION.search("Return what cells do")
     assert QUESTION.search("## What the method does")
+    (tmp_path / "b.py").write_text(
+        'def f():\n    """Return it,\n    what\n  it finds."""\n# what it has\n'
+    )
+    assert questions(tmp_path / "b.py") == [f"{tmp_path / 'b.py'}:{line}" for line in (2, 5)]
     assert phrases("It continues; the sentence stretches on.") == []

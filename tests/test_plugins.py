@@ -39,9 +39,9 @@ def test_a_file_may_import_its_neighbours_and_paths_may_be_relative(tmp_path, mo
 @pytest.mark.parametrize(
     ("text", "spec", "problem"),
     [
-        ("", "mine.py", "must be the form 'file.py:Name'"),
-        ("", "mine.py:", "must be the form 'file.py:Name'"),
-        ("", "mine.py:1a", "must be the form 'file.py:Name'"),
+        ("", "mine.py", "must have the form 'file.py:Name'"),
+        ("", "mine.py:", "must have the form 'file.py:Name'"),
+        ("", "mine.py:1a", "must have the form 'file.py:Name'"),
         ("", "other.py:A", "there is no file 'other.py'. It is looked for in"),
         ("", "mine.txt:A", "must end in .py"),
         ("class Own: pass", "mine.py:own", "has nothing called 'own'. Did you mean 'Own'"),

@@ -17,35 +17,46 @@ from multicell.results.hdf5 import File
 RUNS = """
 import hashlib, multiprocessing, sys, threading
 import multicell as mc
+from multicell.mechanics.system import Mechanics
 
-def run(count, simulation=None):
-    scene = mc.load_scene("growth").with_changes({"initial.count": count, "duration": "20 min"})
-    simulation = simulation or mc.Simulation(scene, threads=2)
+usual, shared = Mechanics.shared, []
+Mechanics.shared = lambda *given: shared.append(usual(*given)) or shared[-1]
+
+def made():
+    # small chunks give threads something to share among few cells
+    scene = mc.load_scene("growth").with_changes({"initial.count": 600, "duration": "20 min"})
+    simulation = mc.Simulation(scene, threads=2)
+    simulation.mechanics.chunk, simulation.mechanics.shared_chunks = 32, 2
+    return simulation
+
+def run(simulation=None):
+    simulation = simulation or made()
     while not simulation.finished:
         simulation.step()
     return hashlib.sha1(simulation.cells.position.tobytes()).hexdigest()
 
-def in_child(queue, count, simulation):
-    queue.put(run(count, simulation))
+def in_child(queue, simulation):
+    queue.put(run(simulation))
 """
 FORKS = """
-begun = mc.Simulation(mc.load_scene("growth").with_changes(
-    {"initial.count": 17_000, "duration": "20 min"}), threads=2)
+begun = made()
 begun.step()
-expected = run(17_000)
+expected = run()
+assert any(shared)
 fork = multiprocessing.get_context("fork")
 for simulation in (None, begun):
     queue = fork.Queue()
-    child = fork.Process(target=in_child, args=(queue, 17_000, simulation), daemon=True)
+    child = fork.Process(target=in_child, args=(queue, simulation), daemon=True)
     child.start()
     print(queue.get(timeout=100.0) == expected)
     child.join()
-print(run(17_000) == expected)
+print(run() == expected)
 """
 THREADS = """
-expected, found = run(17_000), []
+expected, found = run(), []
+assert any(shared)
 for _ in range(2):
-    threads = [threading.Thread(target=lambda: found.append(run(17_000))) for _ in range(2)]
+    threads = [threading.Thread(target=lambda: found.append(run())) for _ in range(2)]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -66,13 +77,13 @@ def _printed(program, **environment):
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
 @pytest.mark.parametrize("layer", ["default", "workqueue"])
-def test_a_process_forked_after_a_large_run_comes_to_the_same_bits(layer):
+def test_a_process_forked_after_a_run_of_threads_comes_to_the_same_bits(layer):
     assert _printed(FORKS, NUMBA_THREADING_LAYER=layer) == ["True"] * 3
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("layer", ["default", "workqueue"])
-def test_two_large_runs_in_two_threads_come_to_the_same_bits(layer):
+def test_two_runs_in_two_threads_come_to_the_same_bits(layer):
     assert _printed(THREADS, NUMBA_THREADING_LAYER=layer) == ["True"]
 
 

@@ -1,5 +1,6 @@
 """Python as people type it: keywords, both spellings, and errors of one line."""
 
+import re
 from dataclasses import FrozenInstanceError
 
 import numpy as np
@@ -40,6 +41,21 @@ def test_a_dict_of_a_keyword_makes_a_table_that_is_not_there():
     assert scene.growth is None
     assert scene.with_changes(growth={"cycle_time": "9 h"}).growth.cycle_time == 9 * 3600.0
     assert scene.with_changes(growth=None) == scene
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("explain", "multicell explain SCENE"),
+        ("plot", "result.plot.section()"),
+        ("workprecision", "multicell.compare"),
+        ("Run", "no attribute 'Run'"),
+    ],
+)
+def test_names_that_the_package_lacks_are_answered(name, words):
+    with pytest.raises(AttributeError, match=re.escape(words)) as caught:
+        getattr(mc, name)
+    assert (caught.value.name, caught.value.obj) == (name, mc)
 
 
 @pytest.mark.parametrize(

@@ -140,6 +140,7 @@ def test_purposes_keep_their_numbers() -> None:
         "ASYMMETRY": 22,
         "NETWORK": 23,
         "NETWORK_DIVISION": 24,
+        "BROWNIAN": 25,
     }  # fmt: skip
 
 

@@ -86,6 +86,25 @@ class Exponential(HalfLaw):
 
 
 RESPONSE_LAWS'''
+GROWTH = '''
+@final
+@parameters
+class QuadraticGrowth(GrowthLaw):
+    """A rate that is proportional to the square of the volume."""
+
+    def rate(self, volume, birth=1.0):
+        return 0.5 * np.asarray(volume) ** 2 / birth
+
+    def volume_after(self, volume, share, birth=1.0):
+        return 1.0 / (1.0 / np.asarray(volume) - 0.5 * share / birth)
+
+    def share_at(self, ratio):
+        return 2.0 - 2.0 / np.asarray(ratio)
+
+
+GROWTH_LAWS'''
+LINEAR = '"linear": LinearGrowth, '
+RADIUS = '    "radius": "um",\n'
 OBSERVABLE = """OBSERVABLES: Final = (
     Observable("largest_cell", lambda s: s.cells.radius.max(initial=0.0), unit="um", doc="its r"),
 """
@@ -125,6 +144,12 @@ RECIPES = {
     },
     "response": {"behaviours/laws.py": [
         ("RESPONSE_LAWS", RESPONSE), (HILL, HILL + '    "exponential": Exponential,\n')]},
+    "growth law": {"behaviours/growth_laws/laws.py": [
+        ("GROWTH_LAWS", GROWTH), (LINEAR, LINEAR + '"quadratic": QuadraticGrowth, ')]},
+    "signal": {
+        "behaviours/catalogue.py": [(RADIUS, RADIUS + '    "young": "kPa",\n')],
+        "biology/responding.py": [('"volume", "radius")', '"volume", "radius", "young")')],
+    },
     "observable": {"results/measures.py": [("OBSERVABLES: Final = (\n", OBSERVABLE)]},
     "key": {
         "scene/parts.py": [(DRAG, DRAG + KEY)],
@@ -153,7 +178,8 @@ mc.testing.check_network(decay)
 def end(**changes):
     scene = mc.load_scene("spheroid").with_changes({
         "initial.count": 8, "duration": "20 min", "contact": {"law": "harmonic", "spring": 3.0},
-        "integrator": "kutta3", "responses.r": {"behaviour": "growth rate", "signal": "oxygen",
+        "integrator": "kutta3", "growth.law": "quadratic",
+        "responses.r": {"behaviour": "growth rate", "signal": "oxygen",
             "law": "exponential", "half": "0.05 mM"},
         "networks.own": {"network": decay, "inputs": {"oxygen": "oxygen"}, "dilution": False,
             "method": "bogacki-shampine", "tolerance": 1e-7},
@@ -162,14 +188,19 @@ def end(**changes):
 
 (scene, result), (_, thick) = end(), end(drag__crowding=40.0)
 _, fed = end(responses__r__half=1e-4)
+_, stiff = end(responses__s={"behaviour": "growth rate", "signal": "young", "half": "1 kPa",
+    "falls": True})
 words, schema = str(explain(scene)), json.dumps(json_schema())
-last, slow, grown = (run.frames[-1].cells for run in (result, thick, fed))
+last, slow, grown, held = (run.frames[-1].cells for run in (result, thick, fed, stiff))
 print(json.dumps({
     "law": ["a linear repulsion of 3 nN/um" in words, '"harmonic"' in schema],
     "method": ["kutta3" in words, '"kutta3"' in schema],
     "field solver": ["multicell-lazy" in SolverBase._subclasses],
     "response": ["half way at 0.05 mM" in words, '"exponential"' in schema,
                  bool(grown.volume.sum() > last.volume.sum())],
+    "growth law": ["growth is quadratic" in words, '"quadratic"' in schema,
+                   float(scene.growth.growth_law.share_at(2.0)) == 1.0],
+    "signal": [bool(held.volume.sum() < last.volume.sum())],
     "observable": [float(result.history["largest_cell"][-1]) == float(last.radius.max())],
     "network method": ['"bogacki-shampine"' in schema, "by bogacki-shampine" in words,
                        bool(abs(last.inside[:, 0] - math.exp(-1.2)).max() < 1e-6)],
@@ -180,7 +211,7 @@ print(json.dumps({
 
 @pytest.fixture(scope="module")
 def followed(tmp_path_factory):
-    """Return what each recipe gives in a copy of the package in which all are followed."""
+    """Return the result of each recipe in a copy of the package in which all are followed."""
     folder = tmp_path_factory.mktemp("recipes")
     package = folder / "multicell"
     shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__"))

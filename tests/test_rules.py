@@ -1,4 +1,4 @@
-"""What every test must keep to, and every file must, read from their source."""
+"""Rules for every test and every file, read from their source."""
 
 import ast
 from pathlib import Path
@@ -60,7 +60,7 @@ def alternatives(path):
 
 
 def broken(rule):
-    """Return what breaks a rule, by file."""
+    """Return offences against a rule, by file."""
     return {str(path.relative_to(TESTS)): found for path in FILES if (found := rule(path))}
 
 
@@ -81,7 +81,8 @@ def test_names_of_test_files_are_given_once():
 
 
 def imported(path):
-    """Return the files of tests that a file imports: what they share belongs into helpers."""
+    """Return forbidden imports of a file: other files of tests, whose shared parts belong into
+    helpers, and ``tests`` as a package, which it is only for a Python that starts in its folder."""
     tests = {path.stem for path in FILES if path.name.startswith("test_")}
     lines = [item for item in ast.walk(tree(path)) if isinstance(item, ast.Import | ast.ImportFrom)]
     names = [
@@ -90,7 +91,11 @@ def imported(path):
         for name in ([line.module or ""] if isinstance(line, ast.ImportFrom)
                      else [alias.name for alias in line.names])
     ]  # fmt: skip
-    return [name for name in names if name.rpartition(".")[2] in tests]
+    return [
+        name
+        for name in names
+        if name.rpartition(".")[2] in tests or name.partition(".")[0] == "tests"
+    ]
 
 
 def test_no_test_file_imports_another():
@@ -99,8 +104,11 @@ def test_no_test_file_imports_another():
 
 def test_imports_of_test_files_are_seen(tmp_path):
     path = tmp_path / "test_more.py"
-    path.write_text("import os\nfrom test_rules import tree\nimport test_names as names\n")
-    assert imported(path) == ["test_rules", "test_names"]
+    path.write_text(
+        "import os\nfrom test_rules import tree\nimport test_names as names\n"
+        "from tests.helpers.a import b\n"
+    )
+    assert imported(path) == ["test_rules", "test_names", "tests.helpers.a"]
 
 
 def test_the_rules_see_what_breaks_them(tmp_path):

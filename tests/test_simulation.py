@@ -154,7 +154,7 @@ def test_public_names():
         "field_problem", "Study", "study", "load_study", "Sensitivity", "sensitivity", "Fit", "fit",
         "DoseResponse", "dose_response", "growth_law", "Observable",
         "observable", "load_observable", "RunTable", "coarsen", "compare_coarse", "compare_fits",
-        "gradient", "load_fit",
+        "gradient", "load_fit", "read_cells",
     }  # fmt: skip
     assert all(hasattr(mc, name) for name in mc.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):

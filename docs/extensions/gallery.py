@@ -53,7 +53,7 @@ def pictures(block: Any, variables: dict[str, Any], gallery: dict[str, Any]) -> 
 
 
 def configuration() -> dict[str, Any]:
-    """Return what sphinx-gallery is told; functions by their names, for its cache."""
+    """Return the settings of sphinx-gallery; functions by their names, for its cache."""
     return {
         "examples_dirs": [str(EXAMPLES)],
         "gallery_dirs": ["gallery"],

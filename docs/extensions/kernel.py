@@ -1,4 +1,4 @@
-"""What executed pages run in.
+"""Kernel of executed pages.
 
 A line ``!command`` of a page that fails, fails the build: IPython goes on after such a line, so the
 kernels of a build get a profile of their own whose start-up file makes it raise instead.

@@ -30,7 +30,7 @@ _OWN = {
 
 
 def environment(page: Path) -> str:
-    """Return what ``pip install`` takes, in the package's folder, for a page to run."""
+    """Return the argument of ``pip install``, in the package's folder, for a page to run."""
     return _OWN.get(page.stem, '".[study]"')
 
 

@@ -92,7 +92,7 @@ def _inner(field: Field[Any], path: str) -> Iterator[str]:
 
 
 def _about(part: type) -> str:
-    """Return what a part says of itself, up to its attributes."""
+    """Return the description of a part, up to its attributes."""
     text = (inspect.getdoc(part) or "").partition("\n\nAttributes\n")[0]
     return ROLE.sub(r"`\1`", text).replace("``", "`")
 
@@ -129,7 +129,7 @@ def _cells(*texts: str) -> str:
 
 
 def observables() -> str:
-    """Return the table of all observables that say what they mean, in Markdown."""
+    """Return the table of all observables with a description, in Markdown."""
     rows = [
         _cells(
             f"`{one.name.replace('*', '<field>')}`",

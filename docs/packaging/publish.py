@@ -44,7 +44,7 @@ def project(root: Path = ROOT) -> dict[str, object]:
 
 
 def facts(known: dict[str, object]) -> dict[str, str]:
-    """Return what the badges state, by name."""
+    """Return the texts of the badges, by name."""
     pythons = re.findall(r"Python :: (3\.\d+)'", str(known["classifiers"]))
     return {
         "version": str(known["version"]),

@@ -1,4 +1,4 @@
-"""Which method and tolerance change no observable: defaults of the built-in scenes from evidence.
+"""Methods and tolerances that change no observable: defaults of the built-in scenes from evidence.
 
 Problem   every built-in scene, shortened where it would take long, grow-2000 at three
           viscosities; each with several seeds, the same for all candidates
@@ -86,7 +86,7 @@ CASES = (
 
 
 def observables(simulation: mc.Simulation) -> dict[str, float]:
-    """Return what a run is made for, at its end; what a scene does not have is left out.
+    """Return the main observables of a run at its end; absent ones are left out.
 
     Number of cells and of proliferating ones, radius of the uniform ball or disc (µm), its
     elongation (largest over smallest root mean square extent), mean pressure (kPa), packing,

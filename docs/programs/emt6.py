@@ -129,7 +129,7 @@ def profiles(data: Measured, near: Tissue) -> None:
 
 
 def runs(data: Measured) -> dict[str, Array]:
-    """Return what real runs of emt6-rim give, and print how far they are off.
+    """Return results of real runs of emt6-rim, and print how far they are off.
 
     Rims and consumption over media and seeds (from the second on with cells shifted at random), and
     the oxygen over depth in the media of the profiles, (um, mmHg).

@@ -294,7 +294,7 @@ def _totals(p: Array, a: float, radius: float, o: Array, g: Array):
 
 @dataclass(frozen=True)
 class Ball:
-    """A ball at rest: radius of the core and of all, µm, and what its shells find, mM."""
+    """A ball at rest: radius of the core and of all, µm, and concentrations of its shells, mM."""
 
     tissue: Tissue
     core: float

@@ -62,7 +62,7 @@ class Measured:
 
 
 def measured() -> Measured:
-    """Return what stands in the tables of docs/data."""
+    """Return the tables of docs/data."""
     rims, growth, used, found = map(
         _table, ("emt6-rims.csv", "emt6-growth.csv", "emt6-consumption.csv", "emt6-po2.csv")
     )

@@ -2,7 +2,7 @@
 
 Nutrient is used up at a constant rate and diffuses in; cells die where it falls below a level.
 Waste is made by living cells and diffuses out; cells stop dividing where it exceeds a level. Both
-fields are at rest. What divides makes volume at the rate s, what is dead loses it at the rate
+fields are at rest. Dividing tissue makes volume at the rate s, dead tissue loses it at the rate
 `loss`:
 
     dR/dt = R / 3 [s (1 - phi^3) - loss eta^3]

@@ -158,7 +158,7 @@ class Equations:
 
 @dataclass
 class Run:
-    """What a solve took and where it led: evaluations of all, of some cells; steps; end, µm."""
+    """Cost and result of a solve: evaluations of all, of some cells; steps; end, µm."""
 
     whole: float = 0.0
     some: float = 0.0

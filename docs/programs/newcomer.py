@@ -1,4 +1,4 @@
-"""What a newcomer waits for: from a checkout to a fitted figure, in a new virtual environment.
+"""Waiting times of a newcomer: from a checkout to a fitted figure, in a new virtual environment.
 
 Problem   Install; a first spheroid with its page; a cell line of one's own at three levels of
           oxygen; a fit to a growth curve and an IC50, both of tables that are typed here; a

@@ -9,7 +9,7 @@ Growth    four cells that grow to some seventy in 50 h in 2D and 3D, cycles of 7
 Error     largest distance of a cell from the reference at the full hours, in cell diameters
 Theirs    forward Euler, midpoint, RK3, RK4, backward Euler, Adams-Moulton 2 with fixed steps, and
           steps that are shortened where a cell moves further than a threshold. The paper's numbers
-          are not public: its statements are what is compared
+          are not public: its statements are compared
 Cost      eight minutes
 Command   python docs/programs/osborne2024.py             (--tables: from what is stored)
 """

@@ -49,7 +49,7 @@ def mechanics(law: PairLaw) -> Mechanics:
 
 
 def motion(cells: int, begin: float, end: float) -> Motion:
-    """Return what is known of cells that neither grow nor are driven."""
+    """Return the arrays of cells that neither grow nor are driven."""
     none = np.zeros(cells)
     return Motion(np.full(cells, 0.5), none, np.ones(cells), none, begin, end)
 

@@ -116,7 +116,7 @@ def time_command(words: list[str], fresh: bool = False) -> dict[str, Any]:
 
 
 def load_of_others() -> float:
-    """Return what other programs use of all processors, from 0 to 1, in a second of rest."""
+    """Return the use of all processors by other programs, from 0 to 1, in a second of rest."""
 
     def ticks() -> tuple[int, int]:
         times = [int(t) for t in Path("/proc/stat").read_text().splitlines()[0].split()[1:9]]
@@ -129,7 +129,7 @@ def load_of_others() -> float:
 
 
 def machine() -> str:
-    """Return what the processor calls itself."""
+    """Return the name of the processor."""
     found = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text())
     return f"{os.cpu_count()} cores of {found[1] if found else 'an unknown processor'}"
 

@@ -1,4 +1,4 @@
-"""Where the committed pictures come from: what made each, the methods that it shows, its digest.
+"""Origins of the committed pictures: command, methods shown, and digest of each.
 
 ``figures/origins.json`` has an entry for every picture of ``figures/``. Tests compare the methods
 with the registry and the digests with the files, so that a picture of methods that are gone, or one
@@ -21,7 +21,7 @@ def digest(picture: Path) -> str:
 
 
 def read(folder: Path = FIGURES) -> dict[str, dict[str, object]]:
-    """Return what is known of each picture of a folder."""
+    """Return the record of each picture of a folder."""
     path = folder / "origins.json"
     return dict(json.loads(path.read_text(encoding="utf-8"))) if path.exists() else {}
 

@@ -36,7 +36,7 @@ WHAT = {
     "schema": "declarations", "units": "at the door", "random": "streams",
     "compiling": "by numba, threads", "precompile": "compiling ahead",
     "importing": "models of PhysiCell",
-    "philox": "random words", "vectors": "sums by column",
+    "philox": "random words", "vectors": "sums by column", "roots": "Brent's method",
     "cells": "the state", "errors": "errors of users",
 }  # fmt: skip
 

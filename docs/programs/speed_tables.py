@@ -1,4 +1,4 @@
-"""What performance.py has measured: the table, its medians, and what pages quote of it.
+"""Measurements of performance.py: the table, its medians, and numbers quoted on pages.
 
 A page quotes a figure by a mark behind it, which no reader sees: ``14.4 s<!-- figure: hour,
 1000000 cells, 1 thread -->``. The names are the keys of :func:`figures`. :func:`requote` writes the
@@ -171,7 +171,7 @@ def origin(rows: pd.DataFrame) -> str:
 
 
 def _which(some: pd.DataFrame, rows: pd.DataFrame) -> str:
-    """Return what tells some rows from the others."""
+    """Return the entries that distinguish some rows from the others."""
     if rows["what"].nunique() > 1:
         return ", ".join(f"*{name}*" for name in some["what"].unique())
     return ", ".join(f"{cells:,}" for cells in sorted(some["cells"].unique())) + " cells"

@@ -142,7 +142,7 @@ def _grown(tile: Tile, states: tuple[str, ...]) -> dict[str, Cells]:
 
 
 def _rank(state: str, steps: list[tuple[float, Cells]]) -> Callable[[tuple[float, Cells]], float]:
-    """Return what the step that is taken has least of."""
+    """Return the key by which the chosen step is least."""
     if state == "typical":
         mean = float(np.mean([born for born, _ in steps]))
         return lambda step: abs(step[0] - mean)

@@ -1,4 +1,4 @@
-"""Which methods reach the goals of a tile, at what cost.
+"""Methods that reach the goals of a tile, and their cost.
 
 Every method climbs from loose to tight tolerances, all of them rung by rung in turns, the order
 rotated from tile to tile. No solve may take more than BUDGET times what the fastest method found

@@ -79,7 +79,7 @@ class Point:
 
     @property
     def lead(self) -> str:
-        """What the other kind costs over the cheaper one."""
+        """Cost of the other kind over the cheaper one."""
         if not math.isfinite(self.ratio):
             return "–"
         factor = max(self.ratio, 1.0 / self.ratio)
@@ -222,7 +222,7 @@ def _entry(point: Point | None) -> str:
 
 
 def states_table(tiles: Sequence[Row]) -> str:
-    """Return what the tiles of each state and number of cells are like."""
+    """Return properties of the tiles of each state and number of cells."""
     lines = []
     for state in STATES:
         for n in sorted({t["cells"] for t in tiles if t["state"] == state}):
@@ -247,7 +247,7 @@ def _span(values: Sequence[float]) -> str:
 
 
 def defaults_table(rows: Sequence[Row]) -> str:
-    """Return what methods do at their default tolerance: error, and cost over the best one's."""
+    """Return results of methods at their default tolerance: error, and cost over the best one's."""
     least: dict[tuple[object, ...], float] = {}
     for r in rows:
         if r["goal"] == GOALS[0] and r["status"] == REACHED and r["method"] not in NULL_METHODS:

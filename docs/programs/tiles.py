@@ -239,7 +239,7 @@ def compute(given: argparse.Namespace) -> None:
 
 
 def renew(given: argparse.Namespace) -> None:
-    """Solve what some methods have solved again: after a change of these, on the same steps.
+    """Repeat the solves of some methods: after a change of these, on the same steps.
 
     The best of the other methods takes part. A machine is faster at one time than at another, so
     new costs are those over its new one times its old one.

@@ -1,4 +1,4 @@
-"""What a method's default tolerance means for single cells: errors over one coupling step.
+"""Effect of a method's default tolerance on single cells: errors over one coupling step.
 
 Problem   coupling steps of small scenes, each from its own recorded state: packed cells that
           settle, a shock of divisions, clusters that grow at three viscosities
@@ -50,7 +50,7 @@ def errors(exact: Reference, options: IntegratorOptions) -> list[np.ndarray] | s
 
 
 def entry(exact: Reference, method: str, atol: float) -> str:
-    """Return what the table says of a method in a scene, µm."""
+    """Return the table's entry of a method in a scene, µm."""
     found = errors(exact, IntegratorOptions(method=method, atol=atol))
     if isinstance(found, str):
         return found

@@ -114,7 +114,7 @@ class Rock4(ErrorControl):
         return Outcome(system.motion.end, x)
 
     def split(self, system: Mechanics, elapsed: float, x: FloatArray) -> Any:
-        """Return what the following steps need besides λ."""
+        """Return parts that the following steps need besides λ."""
 
     def step(
         self,

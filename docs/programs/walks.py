@@ -83,7 +83,7 @@ class Walk:
 
 
 def parts_of(value: Any) -> list[Any]:
-    """Return a value, and what it holds by name or in a row; of one half made what it has yet."""
+    """Return a value, and its parts by name or in a row; of an unfinished one its present parts."""
     inside = list((vars(value) if hasattr(value, "__dict__") else {}).values())
     if isinstance(value, tuple | list):
         return [value, *value, *inside]

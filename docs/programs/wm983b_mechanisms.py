@@ -44,7 +44,7 @@ def pasteur(t, y, u, p, out):  # type: ignore[no-untyped-def]
 
 @dataclass(frozen=True)
 class Mechanism:
-    """What a variant of the scene has besides, and which of its keys are fitted.
+    """Additional keys of a variant of the scene, and those that are fitted.
 
     - ``says``: in words, for tables
     - ``changes``: of the scene

@@ -1,4 +1,4 @@
-"""What predicts spheroids that go from air to 2 % oxygen without a model of their cells."""
+"""Predictions of spheroids that go from air to 2 % oxygen without a model of their cells."""
 
 from __future__ import annotations
 

@@ -313,7 +313,7 @@ def draw(found: dict[str, Any]) -> Figure:
 
 
 def read_kept() -> dict[str, Any]:
-    """Return what is kept of the fits, by mechanism."""
+    """Return the stored parts of the fits, by mechanism."""
     return json.loads(KEPT.read_text()) if KEPT.exists() else {}
 
 

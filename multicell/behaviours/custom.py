@@ -69,7 +69,7 @@ def response(*, parameters: Mapping[str, Any]) -> Callable[[Callable[..., Any]],
 
     Returns
     -------
-    A class of laws. :func:`multicell.testing.check_response` reports what does not hold.
+    A class of laws. :func:`multicell.testing.check_response` reports broken promises.
 
     Raises
     ------

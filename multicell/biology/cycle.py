@@ -60,7 +60,7 @@ def volume_in(
     phase: NDArray[np.integer],
     volume: FloatArray,
     share: FloatArray,
-    birth: float = 1.0,
+    birth: float | FloatArray = 1.0,
 ) -> FloatArray:
     """Return volumes after a share of a cycle without limits in a phase, (n,)."""
     assert plan.law is not None
@@ -186,7 +186,8 @@ def _grow(
 ) -> None:
     """Let cells grow for some time, s, at a part of their unlimited growth."""
     assert plan.law is not None
-    law, birth, cycle = plan.law, plan.birth_volume, cells.cycle_time[index]
+    kind, cycle = cells.kind[index], cells.cycle_time[index]
+    law, birth = plan.law, plan.birth_volumes(kind)
     before = now.volume[index]
     if law.constant:
         after = before + birth / cycle * factor * time
@@ -194,7 +195,7 @@ def _grow(
         share = factor * time / cycle
         after = volume_in(plan, now.phase[index], before, share, birth)
     if not plan.hypertrophy:
-        after = np.minimum(after, np.maximum(before, plan.division_volume))
+        after = np.minimum(after, np.maximum(before, plan.division_volumes(kind)))
     now.volume[index] = after
 
 
@@ -203,7 +204,8 @@ def _grow_as_two(
 ) -> None:
     """Let mothers grow as their two daughters do for some time without limits, s."""
     assert plan.law is not None
-    law, birth, cycle = plan.law, plan.birth_volume, cells.cycle_time[index]
+    kind, cycle = cells.kind[index], cells.cycle_time[index]
+    law, birth = plan.law, plan.birth_volumes(kind)
     if law.constant:
         now.volume[index] += 2.0 * ahead * birth / cycle
         return
@@ -258,7 +260,7 @@ def leave_rest(plan: BiologyPlan, cells: Cells, wakes: Mask) -> Cells:
 
 
 def enter_cycle(plan: BiologyPlan, cells: Cells, progress: FloatArray) -> None:
-    """Put cells into G1, with what they have spent there already."""
+    """Put cells into G1, with the time already spent there."""
     lengths = draw_lengths(plan, cells.id, cells.kind)
     cells.phase = np.full(len(cells), Phase.G1, dtype=np.int8)
     cells.progress = progress

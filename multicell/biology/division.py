@@ -29,6 +29,7 @@ from multicell.cells import (
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
+    from multicell.behaviours.growth_laws.laws import GrowthLaw
     from multicell.biology.exposure import Exposure
     from multicell.biology.plan import BiologyPlan
 
@@ -55,7 +56,7 @@ def due_to_divide(plan: BiologyPlan, cells: Cells) -> Mask:
     if plan.phased:
         ripe = (cells.phase == Phase.M) & (cells.progress >= cells.phase_length)
     else:
-        ripe = cells.volume >= plan.division_volume * (1.0 - ROUNDING)
+        ripe = cells.volume >= plan.division_volumes(cells.kind) * (1.0 - ROUNDING)
     return np.asarray(ripe & (cells.state == _GROWING))
 
 
@@ -73,8 +74,8 @@ def divide(
     Each mother is replaced by two daughters of half her volume, at +- r (1 - 2^(-1/3)) from her
     centre along a random axis, r her radius: volume and centre of mass are conserved and the
     daughters stay within the mother. A mother that passed the division volume within the step was
-    two daughters since: each has half of the division volume, and what it has grown in the rest of
-    the step by its own cycle time. A cell that is doomed to die at this division does not divide.
+    two daughters since: each has half of the division volume, and its growth in the rest of the
+    step by its own cycle time. A cell that is doomed to die at this division does not divide.
 
     Random numbers depend on seed and identity only, and identities are given in the order in which
     mothers came to divide, so that other coupling steps leave draws as they are.
@@ -134,8 +135,8 @@ def _waited(
     if plan.phased:
         return mothers.progress - mothers.phase_length, mothers.volume
     assert plan.law is not None
-    birth, cycle, volume = plan.birth_volume, mothers.cycle_time, mothers.volume
-    due = np.full(len(mothers), plan.division_volume)
+    birth, cycle, volume = plan.birth_volumes(mothers.kind), mothers.cycle_time, mothers.volume
+    due = np.full(len(mothers), plan.division_volumes(mothers.kind))
     # what exceeds that was there before the step: a table said so
     most = np.minimum(volume, plan.law.volume_after(due, longest / cycle, birth))
     shares = plan.law.share_at(most / birth) - plan.law.share_at(due / birth)
@@ -186,7 +187,7 @@ def _grow_since(
     """
     assert plan.law is not None
     share = np.where(growing(plan, daughters), waited / daughters.cycle_time, 0.0)
-    volume = plan.law.volume_after(0.5 * mother, share, plan.birth_volume)
+    volume = plan.law.volume_after(0.5 * mother, share, plan.birth_volumes(daughters.kind))
     daughters.radius = np.cbrt(volume / SPHERE)
 
 
@@ -289,14 +290,16 @@ def mutate_as_found(
 
     - ``first``: identity of any first daughter
     """
+    none = np.empty(0, dtype=np.int64)
+    if cells.id is exposure.began.id:  # no cell was born
+        return cells, none
     known = tuple(
         part
         for name, parts in plan.responses.items()
         if name.startswith(tuple(f"{behaviour} " for behaviour in _AT_BIRTH))
         for part in parts
     )
-    none = np.empty(0, dtype=np.int64)
-    if not known or cells.id is exposure.began.id:  # no cell was born
+    if not known:
         return cells, none
     mothers, row = exposure.began, exposure.row
     rows = np.flatnonzero((mothers.id[row] != cells.id) & ~cells.dead)
@@ -335,7 +338,8 @@ def _become(plan: BiologyPlan, cells: Cells, index: IntArray, kinds: IntArray) -
     """Make cells of other types: what the types scale is then as if they had been born so.
 
     Their place in the cycle stays: the part of the phase that is behind them, their volume, and the
-    volume that they have yet to make good.
+    volume that they have yet to make good. One of a type that divides at another volume grows to
+    that from the volume it has.
     """
     before, kind = cells.kind[index], cells.kind.copy()
     kind[index] = kinds
@@ -351,4 +355,22 @@ def _become(plan: BiologyPlan, cells: Cells, index: IntArray, kinds: IntArray) -
             column = getattr(cells, name).copy()
             column[index] *= values[kinds] / values[before]
             setattr(cells, name, column)
+    if plan.volume_scale is not None and plan.law is not None:
+        cells.lag = _owing_as_much(plan, plan.law, cells, index, kinds)
     cells.kind = kind
+
+
+def _owing_as_much(
+    plan: BiologyPlan, law: GrowthLaw, cells: Cells, index: IntArray, kinds: IntArray
+) -> FloatArray:
+    """Return the lags of cells, (n,) s, at which those of other types owe the same volumes.
+
+    Cells that do not grow at all at their volume as the new type makes good nothing.
+    """
+    volume, lag = cells.volume[index], cells.lag.copy()
+    scale = 1.0 if plan.target_scale is None else plan.target_scale[cells.phase[index]]
+    rate, now = (
+        law.rate(volume / scale, plan.birth_volumes(kind)) for kind in (cells.kind[index], kinds)
+    )
+    lag[index] *= np.divide(rate, now, out=np.zeros(len(now)), where=now > 0.0)
+    return lag

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from multicell import random
 from multicell.cells import FloatArray, IntArray
 from multicell.random import Purpose
+from multicell.roots import brent_root
 from multicell.scene.parts import CYCLE_PHASES
 
 if TYPE_CHECKING:
@@ -85,8 +86,6 @@ def stages(
 
 def malthusian_rate(growth: Growth) -> float:
     """Return μ, the rate at which an unlimited population without deaths grows, 1/s."""
-    from scipy import optimize
-
     slowest = math.log(2.0) / growth.mean_cycle  # by Jensen's inequality
     if growth.phases:
         parts = [growth.phases[name] for name in CYCLE_PHASES]
@@ -107,7 +106,7 @@ def malthusian_rate(growth: Growth) -> float:
     # a variation that makes no difference leaves rounding at the lower end
     if excess(slowest) <= 0.0:
         return slowest
-    return float(optimize.brentq(excess, slowest, fastest, rtol=1e-14, xtol=1e-300))
+    return float(brent_root(excess, slowest, fastest, rtol=1e-14, xtol=1e-300))
 
 
 def duration_factor(plan: BiologyPlan, kind: NDArray[np.int16]) -> FloatArray:
@@ -130,7 +129,7 @@ def quantile(phase: PhaseLength, u: FloatArray) -> FloatArray:
 
 
 def scatter_about(
-    seed: int, purpose: Purpose, step: int, ids: IntArray, mean: float, variation: float
+    seed: int, purpose: Purpose, event: int, ids: IntArray, mean: float, variation: float
 ) -> FloatArray:
     """Return positive numbers that scatter normally about ``mean``, (n,).
 
@@ -140,7 +139,7 @@ def scatter_about(
     """
     if variation == 0.0:
         return np.full(len(ids), mean)
-    z = random.truncated_normal(seed, purpose, step, ids, _cut(variation))
+    z = random.truncated_normal(seed, purpose, event, ids, _cut(variation))
     return np.asarray(mean * (1.0 + variation * z))
 
 

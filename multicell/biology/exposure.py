@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from multicell.random import Purpose
 
 Course = tuple[FloatArray, FloatArray]
-"""Parts of a step, (m,), rising from 0 to 1, and what cells find then, (m, n)."""
+"""Parts of a step, (m,), rising from 0 to 1, and the signals at cells then, (m, n)."""
 
 Rate = Callable[[Signals, Cells], Any]
 """Signals and cells at one moment -> a rate of each cell, (n,) or (n, k) 1/s."""
@@ -282,7 +282,7 @@ def part_until(
     gained: FloatArray,
     number: int | IntArray = 0,
 ) -> FloatArray:
-    """Return at which part of what an integral has gained it reaches the cell's threshold, (n,).
+    """Return at which part of its gain an integral reaches the cell's threshold, (n,).
 
     Infinite where it does not; ``number`` distinguishes events of the same cell.
     """

@@ -1,12 +1,12 @@
 """Growth of volume, limited by nutrient and pressure, and loss of volume after death.
 
-Growth is of second order in the coupling step, from rates that are known anyway.
-Within a coupling step the factors of growth are those of its beginning, f₀. When it has ended those
-of its end are known, f₁: the trapezoidal rule gives Δt (f₀ + f₁)/2 in place of Δt f₀. So each cell
-notes Δt (f₁ - f₀)/2, the time for which it has yet to grow (:attr:`multicell.cells.Cells.lag`), and
-makes half of what it has noted good in each of the next steps. All of it at once would be the
-method of Adams and Bashforth, which is stable for half of the steps that Euler's is; half of it is
-stable for three quarters of them (z-transform: for |λ| Δt < 3/2), and only the lag is larger.
+Growth is of second order in the coupling step, from rates that are known anyway. Within a coupling
+step the factors of growth are those of its beginning, f₀. When it has ended those of its end are
+known, f₁: the trapezoidal rule gives Δt (f₀ + f₁)/2 in place of Δt f₀. So each cell notes Δt (f₁ -
+f₀)/2, the time for which it has yet to grow (:attr:`multicell.cells.Cells.lag`), and makes half of
+that good in each of the next steps. All of it at once would be the method of Adams and Bashforth,
+which is stable for half of the steps that Euler's is; half of it is stable for three quarters of
+them (z-transform: for |λ| Δt < 3/2), and only the lag is larger.
 
 A cell that dies has grown until its own time within the step, and shrunk since
 (:func:`multicell.biology.states.die`).
@@ -88,7 +88,7 @@ def volumes_after(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float
     volume = cells.volume
     law = plan.law
     if law is not None and not plan.phased:
-        birth, grow = plan.birth_volume, growing(plan, cells)
+        birth, grow = plan.birth_volumes(cells.kind), growing(plan, cells)
         if law.constant:
             volume += np.where(grow, dt * (factor * birth / cells.cycle_time), 0.0)
         else:
@@ -119,7 +119,7 @@ def _necrotic_factor(death: Death, since: FloatArray, dt: Any) -> FloatArray:
 
 
 def corrected_factor(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float) -> FloatArray:
-    """Return the factor at which cells grow in a step of ``dt`` s, with what they make good, (n,).
+    """Return the factor at which cells grow in a step of ``dt`` s, with the growth made good, (n,).
 
     ``factor``, (n,): that of the step's beginning; see
     :func:`growth_factor`.

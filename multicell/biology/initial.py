@@ -153,17 +153,19 @@ def _states(columns: Mapping[str, NDArray[Any]], count: int) -> NDArray[np.int8]
     return np.where(resting, np.int8(State.QUIESCENT), np.int8(State.PROLIFERATING))
 
 
-def _volumes(plan: BiologyPlan, given: Given | None) -> FloatArray | None:
+def _volumes(plan: BiologyPlan, cells: Cells, given: Given | None) -> FloatArray | None:
     """Return the volumes of the cells over that at birth, (n,), if a table has them."""
     radius = None if given is None else given.columns.get("radius")
-    return None if radius is None else np.asarray(SPHERE * radius**3 / plan.birth_volume)
+    return (
+        None if radius is None else np.asarray(SPHERE * radius**3 / plan.birth_volumes(cells.kind))
+    )
 
 
 def _without_phases(plan: BiologyPlan, cells: Cells, given: Given | None) -> FloatArray:
     """Give cells cycle times and ages; return their volumes, µm³."""
     drawn = draw_cycle_times(plan, cells.id, cells.kind)
     cells.cycle_time = drawn if given is None else given.columns.get("cycle_time", drawn)
-    volume = _volumes(plan, given)
+    volume = _volumes(plan, cells, given)
     if volume is not None:
         progress = share_of_growth(plan, volume)
     elif given is not None and "age" in given.columns and plan.growth is not None:
@@ -173,7 +175,7 @@ def _without_phases(plan: BiologyPlan, cells: Cells, given: Given | None) -> Flo
     if plan.growth is not None:
         cells.age = progress * cells.cycle_time
     ratio = volume_ratio(plan, progress) if volume is None else volume
-    return np.asarray(plan.birth_volume * ratio)
+    return np.asarray(plan.birth_volumes(cells.kind) * ratio)
 
 
 def _in_phases(plan: BiologyPlan, cells: Cells, given: Given | None) -> FloatArray:
@@ -182,10 +184,11 @@ def _in_phases(plan: BiologyPlan, cells: Cells, given: Given | None) -> FloatArr
     whole = lengths.sum(axis=1)
     if given is None:
         share = stages(plan, cells.id, cells.kind, whole)
-        return np.asarray(plan.birth_volume * place_in_cycle(plan, cells, lengths, share))
+        birth = plan.birth_volumes(cells.kind)
+        return np.asarray(birth * place_in_cycle(plan, cells, lengths, share))
     columns = given.columns
     cells.cycle_time = columns.get("cycle_time", growing_time(plan, lengths, cells.kind))
-    volume = _volumes(plan, given)
+    volume = _volumes(plan, cells, given)
     if "phase" in columns:
         cells.phase = columns["phase"]
         _in_given_phase(plan, cells, given, lengths)
@@ -199,7 +202,7 @@ def _in_phases(plan: BiologyPlan, cells: Cells, given: Given | None) -> FloatArr
         place_in_cycle(plan, cells, lengths, share)
         cells.cycle_time = own
     cells.age = time_before_phase(plan, cells)[:, 0] + cells.progress
-    return np.asarray(plan.birth_volume * volume_in_phase(plan, cells))
+    return np.asarray(plan.birth_volumes(cells.kind) * volume_in_phase(plan, cells))
 
 
 def _in_given_phase(plan: BiologyPlan, cells: Cells, given: Given, lengths: FloatArray) -> None:

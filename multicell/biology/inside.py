@@ -20,13 +20,14 @@ import zlib
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 import numpy as np
 
 from multicell import random
 from multicell.behaviours.catalogue import OF_NEIGHBOURS, SUM_OF
 from multicell.biology.division import are_second
+from multicell.biology.waiting import SINCE
 from multicell.cells import HALF, Cells, FloatArray, IntArray, Mask, Signals
 from multicell.errors import StepFailed
 from multicell.random import Purpose
@@ -48,12 +49,23 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 Courses = Mapping[str, tuple[FloatArray, FloatArray]]
-"""Field -> parts of a step, (k,), and (k, n) mM: what cells find then at their last places."""
+"""Field -> parts of a step, (k,), and (k, n) mM: concentrations then at the last places of
+cells."""
 
 _MOST_PIECES: Final = 16  # of a step, for inputs that do not go straight
 
 FindSignals = Callable[[Cells], Signals]
 """Returns signals at the cells: fields in mM, and others."""
+
+
+@final
+class Edges(NamedTuple):
+    """Columns at which states, parameters, inputs and memory of a network end."""
+
+    states: int
+    values: int
+    inputs: int
+    memory: int
 
 
 @final
@@ -79,19 +91,19 @@ class PlacedNetwork:
     columns: tuple[str, ...]
 
     @cached_property
-    def edges(self) -> tuple[int, int, int, int]:
-        """Where states, parameters, inputs and memory end, counted from the first column."""
+    def edges(self) -> Edges:
+        """The ends of its parts, counted from the first column."""
         model = self.model
         states = len(model.states)
         values = states + (len(model.parameters) if model.events else 0)
         inputs = values + len(model.inputs)
-        return states, values, inputs, inputs + 3 + len(model.events)
+        return Edges(states, values, inputs, inputs + 3 + len(model.events))
 
     @cached_property
     def slopes(self) -> slice:
         """The places of the slopes of its inputs; none where nothing is extrapolated."""
-        first = self.begin + self.edges[3]
-        more = len(self.columns) > self.edges[3]
+        first = self.begin + self.edges.memory
+        more = len(self.columns) > self.edges.memory
         return slice(first, first + more * len(self.model.inputs))
 
     def share_of(self, field: str) -> tuple[int, int]:
@@ -167,7 +179,7 @@ class PlacedNetwork:
     def write(self, inside: FloatArray, rows: IntArray, found: Inside, u: FloatArray) -> None:
         """Write networks and inputs to some rows of ``Cells.inside``."""
         p = found.p if self.model.events else found.p[:, :0]
-        inside[rows, self.begin : self.begin + self.edges[3]] = np.concatenate(
+        inside[rows, self.begin : self.begin + self.edges.memory] = np.concatenate(
             [found.y, p, u, found.memory], axis=1
         )
 
@@ -178,7 +190,7 @@ class PlacedNetwork:
         if name in model.states:
             return cells.inside[:, self.begin + model.states.index(name)]
         if name in model.inputs:
-            return cells.inside[:, self.begin + self.edges[1] + model.inputs.index(name)]
+            return cells.inside[:, self.begin + self.edges.values + model.inputs.index(name)]
         out, rows = np.full(len(cells), np.nan), self.rows_with(cells)
         out[rows] = self._of(name, *self.read(cells.inside[rows], cells.id[rows]), time)
         return out
@@ -200,7 +212,7 @@ class PlacedNetwork:
         They count in cells that become one of its types before it is in them.
         """
         assert cells.inside is not None
-        rows = np.flatnonzero(np.isnan(cells.inside[:, self.begin + self.edges[2]]))
+        rows = np.flatnonzero(np.isnan(cells.inside[:, self.begin + self.edges.inputs]))
         if rows.size:
             ids, own = cells.id[rows], own.copy()
             u = np.tile(np.array(self.model.defaults, dtype=float), (len(rows), 1))
@@ -211,7 +223,7 @@ class PlacedNetwork:
     def rows_with(self, cells: Cells) -> IntArray:
         """Return the rows of the cells in which it is."""
         assert cells.inside is not None
-        return np.flatnonzero(~np.isnan(cells.inside[:, self.begin + self.edges[2]]))
+        return np.flatnonzero(~np.isnan(cells.inside[:, self.begin + self.edges.inputs]))
 
 
 @final
@@ -286,7 +298,7 @@ class Networks:
     def begin(self, cells: Cells, find: FindSignals | None = None, time: float = 0.0) -> None:
         """Set the networks of cells at the start of a run.
 
-        - ``find``: returns what cells find; absent while there are no fields
+        - ``find``: returns the signals of cells; absent while there are no fields
         """
         if self._given is None:
             self._given = self._given_in(cells)
@@ -299,11 +311,11 @@ class Networks:
             elif part.part.start == "steady":
                 inside = self._settled(part, inside, u, cells.id[rows], time)
             self._take_given(part, inside, cells.id[rows])
-            # what comes later finds it: other networks, and those of neighbours
+            # later readers find it: other networks, and those of neighbours
             known = cells.inside
             shape = len(cells), len(self.columns)
             whole = np.full(shape, np.nan) if known is None else known.copy()
-            own = slice(part.begin + part.edges[3], part.begin + len(part.columns))
+            own = slice(part.begin + part.edges.memory, part.begin + len(part.columns))
             whole[rows, own] = 0.0  # nothing has changed yet
             part.write(whole, rows, inside, u)
             cells.inside = whole
@@ -404,7 +416,7 @@ class Networks:
         assert predicted.inside is not None
         assert cells.inside is not None
         for part in self.parts.values():
-            states = slice(part.begin, part.begin + part.edges[0])
+            states = slice(part.begin, part.begin + part.edges.states)
             one, other = predicted.inside[:, states], cells.inside[:, states]
             scale = np.abs(other) + part.solver.absolute / part.solver.relative
             change = (np.abs(one - other) / scale)[~np.isnan(other)]
@@ -429,7 +441,7 @@ class Networks:
 
         - ``cells``: at its end; ``inside`` is that of its beginning, or of their mothers
         - ``began``: at its beginning
-        - ``find``: returns what cells find at its end; None: inputs are extrapolated
+        - ``find``: returns the signals of cells at its end; None: inputs are extrapolated
         - ``held``: signals that jump at the end, before which they were as at the beginning
         - ``next_id``: first identity that is free
         - ``courses``: what fields were at the cells on the way, for inputs that are one of them;
@@ -450,7 +462,7 @@ class Networks:
                 if find is not None:
                     u = part.inputs(cells, find(cells))
                 else:
-                    place = part.begin + part.edges[1]
+                    place = part.begin + part.edges.values
                     u = first[:, place : place + len(part.model.inputs)]
                     u = _ahead(u, (end - begin) * first[:, part.slopes])
                     # a cell that has just become one of its type has no slopes
@@ -483,7 +495,7 @@ class Networks:
         cells, own = step.cells, slice(part.begin, part.begin + len(part.columns))
         has = part.has(cells)
         out[~has, own] = np.nan
-        fresh = has & np.isnan(first[:, part.begin + part.edges[2]])
+        fresh = has & np.isnan(first[:, part.begin + part.edges.inputs])
         rows = np.flatnonzero(fresh)
         if rows.size:
             out[rows, own] = 0.0
@@ -502,7 +514,7 @@ class Networks:
         start, length = step.begin / part.seconds, (step.end - step.begin) / part.seconds
         if waiting is not None:
             waiting = waiting[rows]
-            waiting[:, 3] = start + length * waiting[:, 3]
+            waiting[:, SINCE] = start + length * waiting[:, SINCE]
         path = _path(part, step, rows, before, after, courses)
         try:
             for piece in itertools.pairwise(path):
@@ -603,7 +615,7 @@ class Networks:
         daughters.inside = began.inside[began.rows_of(daughters.parent)]
         seen = {name: (times, x[:, rows]) for name, (times, x) in (courses or {}).items()}
         self.advance(daughters, began, find, begin, end, held, next_id=next_id, courses=seen)
-        for part in self.parts.values():  # what fields have found is the mothers' still
+        for part in self.parts.values():  # concentrations are the mothers' still
             places = slice(part.slopes.stop, part.begin + len(part.columns))
             daughters.inside[:, places] = mothers.inside[rows, places]
 
@@ -631,7 +643,7 @@ class Networks:
                 else:
                     column[:] = _binomial(column, z, second)
         p = inside.p
-        if model.events:  # what events have changed stays, what is drawn is drawn anew
+        if model.events:  # changes by events stay, drawn values are drawn anew
             p, own = p.copy(), part.values(step.cells.id[rows])
             for name, given in (part.part.parameters or {}).items():
                 if isinstance(given, Draw):
@@ -674,7 +686,7 @@ def _path(
     """Return parts of a step and the inputs of cells then, (n, m), between which they go linearly.
 
     There are as many as the networks' tolerance needs. Until they are born daughters have the mean
-    of what they find.
+    of their signals.
     """
     times, bends = _bends(part, rows, courses)
     chosen = _corners(times, bends, part.part.tolerance * np.abs([before, after]).max(axis=(0, 1)))

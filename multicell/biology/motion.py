@@ -43,7 +43,7 @@ def motion_of(
     held, velocity = given or (None, None)
     touching = contact_rows(cells, contacts) if plan.contact.remembers else None
     pushed = push(plan, cells, begin, gradients, signals)
-    for further in (inflow_drag(plan, cells, radius, length), surface_force(plan, cells)):
+    for further in (inflow_drag(plan, cells, radius, length), surface_force(plan, cells, begin)):
         if further is not None:
             pushed = np.zeros((len(cells), 6)) if pushed is None else pushed
             pushed[:, :3] += further
@@ -78,7 +78,7 @@ def bonds(
     times the factors of the concentrations that it finds at ``begin``. Between the two times they
     run linearly, so that a course with a kink between two coupling times is cut there.
     """
-    if plan.adhesion is None:
+    if plan.receptors is None:
         return None
     now = np.stack([cells.receptor, cells.ligand], axis=1)
     then = bond_levels(plan, cells, signals, end)

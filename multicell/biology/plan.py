@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multicell.biology.responding import (
     acting,
@@ -47,8 +48,9 @@ if TYPE_CHECKING:
 class BiologyPlan:
     """The biology of a scene, resolved.
 
-    - ``seed``, ``dimensions``, ``step``: as in the scene; ``step`` is the coupling step in s
-    - ``birth_volume``, ``division_volume``, float, µm³
+    - ``seed``, ``dimensions``, ``coupling_step``, s: as in the scene
+    - ``birth_volume``, ``division_volume``, float, µm³: of types whose size has no scale
+    - ``volume_scale``, (types,) or None: of each type on both; None where all are 1
     - ``law``: by which volumes grow; None without growth
     - ``phased``: whether the cycle has phases
     - ``grows``, (5,) bool: for each :class:`multicell.cells.Phase` whether cells grow in it
@@ -67,6 +69,7 @@ class BiologyPlan:
       a type
     - ``elsewhere``: signals that neither fields nor cells carry: time, and numbers of neighbours
     - ``networks``: inside cells; None without any
+    - ``receptors``: adhesion by receptors and ligands of cells; None without any
     - ``inflow``: viscosity of the medium that flows in to what is lost, kPa·s; 0: it is at rest
     - ``surface_tension``: of the tissue, nN/µm; 0: none
     - ``types``: by name; empty where all cells are alike
@@ -78,16 +81,17 @@ class BiologyPlan:
     - ``doubling``, (types or 1,) s, or None: time in which volumes double, for all cells of a type;
       None where it follows from the phases that each cell draws
     - ``target_scale``, (5,) or None: of the volumes that growth goes to, for each phase
-    - ``solubility``, field -> mM/kPa: of oxygen, in the fields that say what irradiation does
+    - ``solubility``, field -> mM/kPa: of oxygen, in the fields that modify irradiation
     - ``period``, (3,) µm, or None: lengths after which space repeats, see Domain.period
     - ``cells`` to ``motions``: parts of the scene that hold nothing but numbers and names
     """
 
     seed: int
     dimensions: int
-    step: float
+    coupling_step: float
     birth_volume: float
     division_volume: float
+    volume_scale: FloatArray | None
     law: GrowthLaw | None
     phased: bool
     grows: Mask
@@ -124,11 +128,21 @@ class BiologyPlan:
     domain: Domain | None
     growth: Growth | None
     death: Death | None
-    adhesion: Adhesion | None
+    receptors: Adhesion | None
     motility: Motility | None
     chemotaxis: Mapping[str, Chemotaxis]
     pull: Pull | None
     motions: Motions
+
+    def birth_volumes(self, kind: NDArray[np.integer]) -> float | FloatArray:
+        """Return the volumes in µm³ with which cells of types are born, (n,) or one for all."""
+        scale = self.volume_scale
+        return self.birth_volume if scale is None else self.birth_volume * scale[kind]
+
+    def division_volumes(self, kind: NDArray[np.integer]) -> float | FloatArray:
+        """Return the volumes in µm³ at which cells of types divide, (n,) or one for all."""
+        scale = self.volume_scale
+        return self.division_volume if scale is None else self.division_volume * scale[kind]
 
 
 _OF_SCENE: Final = (
@@ -140,7 +154,6 @@ _OF_SCENE: Final = (
     "contact",
     "domain",
     "death",
-    "adhesion",
     "motility",
     "chemotaxis",
     "pull",
@@ -166,9 +179,11 @@ def biology_plan(scene: Scene) -> BiologyPlan:
     ratio = [1.0 if young is None else young / cells.young for young in own]
     oxygen = [part.oxygen for part in scene.radiation.values() if part.oxygen]
     return BiologyPlan(
-        step=scene.coupling_step,
+        coupling_step=scene.coupling_step,
+        receptors=scene.adhesion,
         birth_volume=birth_volume(scene),
         division_volume=division_volume(scene),
+        volume_scale=_volume_scale(kinds),
         law=None if growth is None else growth.growth_law,
         phased=bool(phases),
         grows=np.array([p.name in phases and phases[p.name].grows for p in Phase]),
@@ -216,6 +231,12 @@ def founders(scene: Scene) -> int:
         return initial.count
     given = initial.cells.given
     return int(given.columns["id"].max()) + 1 if "id" in given.columns else len(given)
+
+
+def _volume_scale(kinds: list[CellType]) -> FloatArray | None:
+    """Return the scale of each type on volumes, (types,); None where all are 1."""
+    scales = np.array([kind.division_radius_scale for kind in kinds])
+    return None if (scales == 1.0).all() else scales**3
 
 
 def _diffusion(scene: Scene) -> FloatArray | None:

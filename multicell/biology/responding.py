@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Final, cast, final
 
@@ -34,7 +34,7 @@ from multicell import random
 from multicell.behaviours.catalogue import CONTACTS, FULL_CROWDING, PHASE, needs_contacts
 from multicell.cells import Phase, contact_rows
 from multicell.random import Purpose
-from multicell.scene.responses import Effect, effects
+from multicell.scene.responses import Effect, effects, usual_type
 from multicell.vectors import lengths, nearest_differences, wrapped
 
 if TYPE_CHECKING:
@@ -104,13 +104,15 @@ def bind_responses(scene: Scene) -> dict[str, tuple[BoundResponse, ...]]:
     kinds, known = list(scene.types), effects(scene)
     special: dict[tuple[str, tuple[str, ...]], set[str]] = {}
     for effect in known:
-        special.setdefault((effect.behaviour, effect.signals), set()).update(effect.types)
+        if not effect.short:  # short forms of types exclude each other already
+            special.setdefault((effect.behaviour, effect.signals), set()).update(effect.types)
     made: dict[str, list[BoundResponse]] = {}
     for effect in known:
         mask = None
-        others = special[effect.behaviour, effect.signals]
+        others = special.get((effect.behaviour, effect.signals), set())
         if effect.types or others:
-            who = effect.types or [kind for kind in kinds if kind not in others]
+            who = set(effect.types or kinds)
+            who -= others if effect.short or not effect.types else set()
             mask = np.array([kind in who for kind in kinds])
         level, needs = _level(scene, effect.signals)
         bound = BoundResponse(effect, level, frozenset(needs), mask)
@@ -261,10 +263,12 @@ def rate_of_harm(
     """Return the necrosis rate or the damage rate of each cell, (n,) 1/s; infinite: death at once.
 
     Short forms (thresholds of fields and ATP) have one rate in common, however many of them hold.
-    None where nothing has this effect. Without ``cells`` only what fields do to all types.
+    None where nothing has this effect. Without ``cells`` only effects of fields on all types, and
+    thresholds as the most numerous type at the start has them.
     """
     known = plan.responses.get(behaviour, ())
     if cells is None:
+        known = tuple(_as_usual(plan, part) for part in known)
         known = tuple(part for part in known if part.is_local and "pressure" not in part.needs)
     hazard = None
     named = tuple(part for part in known if not part.effect.short)
@@ -278,6 +282,14 @@ def rate_of_harm(
         new = np.maximum(before, value) if part.effect.short else before + value
         hazard = new if part.mask is None else np.where(part.mask[_kind(cells)], new, before)
     return hazard
+
+
+def _as_usual(plan: BiologyPlan, part: BoundResponse) -> BoundResponse:
+    """Return a short form of the most numerous type as one of all cells, others as they are."""
+    if part.mask is None or not part.effect.short:
+        return part
+    usual = list(plan.types).index(usual_type(plan.types))
+    return replace(part, mask=None) if part.mask[usual] else part
 
 
 def rate_of(plan: BiologyPlan, behaviour: str, signals: Signals, cells: Cells) -> FloatArray:

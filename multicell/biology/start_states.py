@@ -44,7 +44,7 @@ class StartStates:
     """Search for the states at the start.
 
     - ``cells``: as they are drawn; those that are dead or rest already stay as they are
-    - ``field``: solve the fields for cells; return what they find, name -> (n,) mM
+    - ``field``: solve the fields for cells; return their concentrations, name -> (n,) mM
     - ``tabled``: whether a table gives their places in the cycle
     """
 
@@ -69,7 +69,7 @@ class StartStates:
     def find(self, signals: Signals) -> tuple[Cells, int]:
         """Return the cells in their states, and how many of them do not fit their field.
 
-        ``signals`` is what they find with the states that they have now.
+        ``signals`` are those with the present states.
         """
         for _ in range(MAX_PASSES):
             before = self.rests.copy(), self.dead.copy()
@@ -122,7 +122,7 @@ class StartStates:
         *,
         resting: bool,
     ) -> Signals:
-        """Turn the poorest of a pool, as few as leave no other cell short; return what cells find.
+        """Turn the poorest of a pool, as few as leave no other cell short; return signals.
 
         ``turned`` is changed.
         """
@@ -178,7 +178,7 @@ def _rest_for_long(plan: BiologyPlan, cells: Cells) -> Cells:
         rested.phase[:] = Phase.G0
         rested.progress[:] = rested.phase_length[:] = 0.0
         rested.age = time_before_phase(plan, rested)[:, 0]
-        volume = plan.birth_volume * volume_in_phase(plan, rested)
+        volume = plan.birth_volumes(rested.kind) * volume_in_phase(plan, rested)
         rested.radius = np.cbrt(volume / SPHERE)
     return rested
 

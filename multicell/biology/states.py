@@ -39,7 +39,7 @@ _GROWING, _RESTING, _NECROTIC, _APOPTOTIC = (np.int8(state) for state in State)
 
 @final
 class Deaths(NamedTuple):
-    """When in the last step cells die, and what they have been exposed to until its end.
+    """When in the last step cells die, and their exposure until its end.
 
     - ``necrosis``, ``apoptosis``, (n,): parts of the step after which they die of it; infinite:
       not; None where nobody does
@@ -78,7 +78,7 @@ def update_states(
     if plan.may_rest and not plan.restricted:
         wanted = np.where(wants_rest(plan, cells, signals), _RESTING, _GROWING)
         if np.count_nonzero(wanted != state):  # else it does not matter who is due
-            due = deciding(cells, dt or plan.step, plan.cells.reaction_time, ahead)
+            due = deciding(cells, dt or plan.coupling_step, plan.cells.reaction_time, ahead)
             state = np.where(due, wanted, state)
     necrosis, apoptosis, _ = deaths(plan, cells, signals) if dying is None else dying
     for new, part in ((_NECROTIC, necrosis), (_APOPTOTIC, apoptosis)):
@@ -142,7 +142,8 @@ def _since_due(
         return np.clip(1.0 - over, 0.0, 1.0)
     first, last = (exposure[rows].volume_at(np.full(len(rows), end)) for end in (0.0, 1.0))
     grown = np.where(last > first, last - first, 1.0)
-    return np.clip((plan.division_volume - first) / grown, 0.0, 1.0)
+    due = plan.division_volumes(cells.kind[rows])
+    return np.clip((due - first) / grown, 0.0, 1.0)
 
 
 def die(
@@ -285,7 +286,7 @@ def _part_until_death(
     gained: FloatArray,
     columns: dict[str, FloatArray],
 ) -> FloatArray:
-    """Return at which part of what an integral has gained living cells die, (n,); it is noted.
+    """Return at which part of the gain of an integral living cells die, (n,); it is noted.
 
     Infinite where they do not; ``column`` is the integral's name, one of
     :data:`multicell.cells.HAZARDS`, and ``columns`` where it is noted.
@@ -315,7 +316,7 @@ def take_damage(
     hit = np.flatnonzero(gained)
     if plan.death is not None and plan.death.damage_variation > 0.0 and hit.size:
         born = hit[exposure.began.id[exposure.row[hit]] != cells.id[hit]]
-        # before it was born a daughter bore what its mother does
+        # before its birth a daughter bore the damage of its mother
         since = 1.0 - cells.age[born] / exposure.length
         later = exposure[born].integral(known, rate, since)
         earlier = (gained[born] - later) / _tolerance(plan, cells.parent[born])
@@ -382,7 +383,7 @@ def remove_lysed(plan: BiologyPlan, cells: Cells) -> tuple[Cells, int]:
     dead = cells.dead
     if not np.count_nonzero(dead):
         return cells, 0
-    smallest = plan.death.removal_fraction * plan.birth_volume
+    smallest = plan.death.removal_fraction * plan.birth_volumes(cells.kind)
     gone = dead & (cells.volume < smallest)
     removed = int(gone.sum())
     return (cells.take(~gone), removed) if removed else (cells, 0)

@@ -38,7 +38,7 @@ class Grown(NamedTuple):
 
     - ``radius``, (n,) µm
     - ``factor``, (n,): part of unlimited growth at which they have grown if they could
-    - ``lag``, (n,) s: what they have yet to make good
+    - ``lag``, (n,) s: growth yet to be made good
     - ``cycling``: their place in the cycle; None where the scene has no phases
     """
 
@@ -74,7 +74,7 @@ def grow(plan: BiologyPlan, cells: Cells, signals: Signals, factor: FloatArray, 
     """Let cells grow for a time ``dt`` (s).
 
     ``factor`` is how fast they grow where they are, (n,); see
-    :func:`multicell.biology.growth.growth_factor`. What earlier steps have left out is made good.
+    :func:`multicell.biology.growth.growth_factor`. Growth left out by earlier steps is made good.
     """
     own, factor = factor, corrected_factor(plan, cells, factor, dt)
     lag = cells.lag if factor is own else cells.lag - dt * (factor - own)
@@ -114,7 +114,7 @@ def age_cells(
 
 def bind(plan: BiologyPlan, after: Cells, cells: Cells, signals: Signals, time: float) -> Cells:
     """Return ``after`` with the receptors and ligands that ``cells`` have at a time in s."""
-    if plan.adhesion is None:
+    if plan.receptors is None:
         return after
     receptor, ligand = np.ascontiguousarray(bond_levels(plan, cells, signals, time).T)
     return after.changed(receptor=receptor, ligand=ligand)
@@ -125,9 +125,9 @@ def bind_changed(
 ) -> Cells:
     """Return cells, those of another type than ``before`` with its receptors and ligands.
 
-    Those before are the cells or their mothers, and ``signals`` is what these find; ``time`` in s.
+    Those before are the cells or their mothers, and ``signals`` are of these; ``time`` in s.
     """
-    if plan.adhesion is None or cells.kind is before.kind:
+    if plan.receptors is None or cells.kind is before.kind:
         return cells
     row = rows_before(before, cells)
     changed = np.flatnonzero(cells.kind != before.kind[row])
@@ -172,7 +172,7 @@ def decide(
     ahead: float | None = None,
     time: float = 0.0,
 ) -> Decided:
-    """Return the cells with the damage and the states that they have by what they find.
+    """Return the cells with the damage and the states that follow from their signals.
 
     - ``exposure``: to the signals of the step that has ended; absent at the start of a run
     - ``ahead``: length of the next step, s; absent: the usual one
@@ -185,7 +185,7 @@ def decide(
     if exposure is not None and not plan.restricted:
         cells = rest_from_birth(cells, before, exposure)
     if plan.restricted:
-        due = deciding(cells, dt or plan.step, plan.cells.reaction_time, ahead)
+        due = deciding(cells, dt or plan.coupling_step, plan.cells.reaction_time, ahead)
         well = ~wants_rest(plan, cells, signals)
         cells = leave_rest(plan, cells, due & well)
     died, lost = cells.state != before, 0.0

@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from multicell.cells import Cells, FloatArray, IntArray
-from multicell.vectors import corners, cubes, weighted_mean
+from multicell.errors import StepFailed
+from multicell.vectors import corners, cubes, lengths, weighted_mean
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
@@ -31,10 +32,37 @@ _INNER: Final = 0.9
 """Part of the cells that have less tissue round them than is taken for c = 1."""
 _MARGIN: Final = 4
 """Diameters of medium round the tissue that the grid holds."""
+_MOST_NODES: Final = 10**8
+"""Of the grid, which then takes some 10 GB: a ball of 10⁷ cells has a third of it."""
+_FURTHEST: Final = 3.0
+"""Diameters that a cell may move while the force is held: beyond, it has crossed the surface.
+
+Cells of a ball that settles under its tension move by 1.3 in the first step.
+"""
 
 
-def surface_force(plan: BiologyPlan, cells: Cells) -> FloatArray | None:
-    """Return the force of the surface on each cell, (n, 3) nN, or None; they add up to zero."""
+def check_surface_held(cells: Cells, position: FloatArray, time: float) -> None:
+    """Raise StepFailed where a force that is held for a step has moved a cell too far.
+
+    - ``cells``: at ``time`` in s, when the step begins
+    - ``position``, (n, 3) µm: at its end
+    """
+    ratio = lengths(position - cells.position) / (2.0 * cells.radius)
+    if (furthest := float(ratio.max(initial=0.0))) > _FURTHEST:
+        cell = int(np.argmax(ratio))
+        problem = (
+            f"it has moved {furthest:.3g} diameters in a coupling step, in which the force of the "
+            "tissue's surface is held"
+        )
+        hint = "Take a shorter coupling_step, or a lower surface.tension."
+        raise StepFailed(time, problem, hint, int(cells.id[cell]))
+
+
+def surface_force(plan: BiologyPlan, cells: Cells, time: float = 0.0) -> FloatArray | None:
+    """Return the force of the surface on each cell, (n, 3) nN, or None; they add up to zero.
+
+    Raises StepFailed, with ``time`` in s, where cells are too far apart for its grid.
+    """
     if plan.surface_tension == 0.0 or len(cells) < 2:
         return None
     from scipy.ndimage import gaussian_filter, map_coordinates
@@ -45,6 +73,13 @@ def surface_force(plan: BiologyPlan, cells: Cells) -> FloatArray | None:
     low = corners(cells.position)[0] - _MARGIN * diameter
     at = (cells.position - low) / spacing
     shape = np.ceil(at.max(axis=0)).astype(int) + int(_MARGIN * _SMOOTHING)
+    if (nodes := float(np.prod(shape, dtype=float))) > _MOST_NODES:
+        wide = " x ".join(f"{x:.0f}" for x in (shape * spacing).tolist())
+        problem = f"the surface of cells over {wide} um needs a grid of {nodes:.3g} nodes"
+        hint = (
+            f"At most {_MOST_NODES:,} are allowed: bring the cells together, or leave out surface."
+        )
+        raise StepFailed(time, problem, hint)
     density = gaussian_filter(_spread(at, volume, shape), _SMOOTHING, mode="constant")
     density /= spacing**3
     # of cells at the surface and in holes less than half is tissue

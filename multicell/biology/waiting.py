@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 _GROWING = int(State.PROLIFERATING)
+SINCE = 3  # column of a watch, behind place, sign and level: the time from which it is kept
 
 
 @final
@@ -87,7 +88,7 @@ def watched(plan: BiologyPlan, cells: Cells, dt: float) -> dict[str, FloatArray]
             found[part.network] = np.tile([0.0, 1.0, 0.0, np.inf], (len(cells), 1))
         rows = np.flatnonzero(waiting(plan, cells) & (cells.phase == part.ends))
         found[part.network][rows, :3] = place, part.sign, part.value
-        found[part.network][rows, 3] = waits_since(cells, dt)[rows]
+        found[part.network][rows, SINCE] = waits_since(cells, dt)[rows]
     return found
 
 

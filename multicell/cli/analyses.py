@@ -123,7 +123,7 @@ def dose_response_command(
     laws: tuple[str, ...],
     **how: Any,
 ) -> None:
-    """Find the dose at which half of the cells of a SCENE are left, and what two drugs do together.
+    """Find the dose that leaves half of the cells of a SCENE, and the joint effect of drugs.
 
     Every number has its 95 % interval. Values outside the doses tested are reported as such, never
     extrapolated. An analysis that was stopped continues with the same command; more doses or

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
+from itertools import zip_longest
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from multicell.calibration.fitting.plan import FitPlan
+    from multicell.calibration.fitting.profile_check import ProfileEnd
     from multicell.calibration.fitting.result import Fit
     from multicell.scene.scene import Scene
 
@@ -57,6 +60,19 @@ if TYPE_CHECKING:
     default="same",
     metavar="NAME",
     help="single: each row is another specimen, measured once, as the column 'specimen' says too.",
+)
+@shared.valued(
+    "--scatter",
+    default="stated",
+    metavar="NAME",
+    help="unknown: fit the size of the errors of each observable too, as a factor on stated ones.",
+)
+@click.option(
+    "--constraint",
+    "constraints",
+    multiple=True,
+    metavar="A < B",
+    help="An order of two free parameters, as 'necrosis < quiescence'. May be given several times.",
 )
 @shared.observable_option
 @studies.cores_option
@@ -137,6 +153,9 @@ def _print(out: Console, found: Fit, output: Path) -> None:
     cells = [[row[key] for key in ("key", "best", "interval", "part")] for row in rows]
     out.print(filled_table(("parameter", "best >", "95 % interval >", "of its range >"), cells))
     data = found.best
+    for name, one in found.scatter.items():
+        said = f"errors of {name}: {one.words}, {one.low:.3g} to {one.high:.3g} times the stated"
+        out.print(escape_markup(f"{said} (95 %)"))
     out.print(escape_markup(f"χ² = {data.chi_squared:.3g} for {len(data.residuals)} data"))
     for entry in found.undetermined:
         out.print(escape_markup(f"{entry}."), style="yellow")
@@ -145,14 +164,41 @@ def _print(out: Console, found: Fit, output: Path) -> None:
     out.print(escape_markup(f"Results are in '{output}'."))
 
 
+def _checked(found: Fit, name: str, quiet: bool, **options: Any) -> list[ProfileEnd]:
+    """Run the ends of an interval, with progress."""
+    words = f"ends of {name}"
+
+    def note(done: int, wanted: int) -> float:
+        nonlocal words
+        words = f"ends of {name}: {done:,} of {wanted:,} runs"
+        return done / max(wanted, 1)
+
+    with display(lambda: [words], note, show=not quiet) as progress:
+        return found.check_profile(name, progress=progress, **options)
+
+
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path))
 @shared.output_option("File for the picture: .png, .svg or .pdf.", required=False)
 @shared.valued("--level", default=0.95, help="Confidence of the intervals.")
+@click.option(
+    "--check", "check", is_flag=True, help="Run the ends of the intervals: is the emulator right?"
+)
+@shared.valued("--repeats", default=6, help="Runs with fresh seeds at each end, with --check.")
+@studies.cores_option
 @shared.overwrite_option("Replace the file.")
+@shared.quiet_option
 @shared.as_json_option
 def profile_command(
-    folder: Path, output: Path | None, level: float, overwrite: bool, as_json: bool
+    folder: Path,
+    output: Path | None,
+    level: float,
+    check: bool,
+    repeats: int,
+    cores: int | None,
+    overwrite: bool,
+    quiet: bool,
+    as_json: bool,
 ) -> None:
     """Print the profile likelihood of each parameter of the fit in FOLDER: which are identified.
 
@@ -167,6 +213,8 @@ def profile_command(
     found = load_fit(folder)
     profiles = [found.profile(free.name) for free in found.problem.ranges]
     ends = [one.interval(level) for one in profiles]
+    options = {"level": level, "repeats": repeats, "cores": cores}
+    checks = [_checked(found, x.name, quiet, **options) for x in profiles] if check else []
     if output is not None:
         save_figure(found.plot.profile(), output)
     if as_json:
@@ -180,8 +228,13 @@ def profile_command(
                     "interval": [x if isfinite(x) else None for x in pair],
                     "values": one.values.tolist(),
                     "loss": one.loss.tolist(),
+                    **(
+                        {"ends": [{**asdict(e), "confirmed": e.confirmed} for e in runs]}
+                        if check
+                        else {}
+                    ),
                 }
-                for one, pair in zip(profiles, ends, strict=True)
+                for one, pair, runs in zip_longest(profiles, ends, checks)
             ]
         )
         return
@@ -191,6 +244,14 @@ def profile_command(
         rows.append((one.name, value_in_words(one.best, one.unit), f"{low} to {high}"))
     title = f"{100.0 * level:g} % interval >"
     shared.console().print(filled_table(("parameter", "best >", title), rows))
+    for one, runs in zip(profiles, checks, strict=False):
+        for end in runs:
+            said = "confirmed" if end.confirmed else "denied: a larger budget for the fit helps"
+            text = (
+                f"{one.name} = {value_in_words(end.value, one.unit)}: loss {end.loss:.3g}, by "
+                f"{end.runs} runs {end.by_runs:.3g} ± {end.error:.2g}: {said}"
+            )
+            shared.console().print(escape_markup(text), style="" if end.confirmed else "yellow")
     for one in profiles:
         if not one.identified(level):
             shared.console().print(

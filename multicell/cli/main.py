@@ -9,7 +9,6 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -134,12 +133,23 @@ def run_command(
         complain(table.said)
     if seed is not None:
         described = described.with_changes({"seed": seed})
-    # loaded after the scene was accepted: bad input is answered at once
-    from multicell.runner import integrated_by
-    from multicell.runner import run as simulated
+    from multicell.results.folder import refuse_results
 
-    described, own = integrated_by(described, integrator)
-    simulate = partial(simulated, described, output=output, integrator=own)
+    own = None
+    if integrator is not None:
+        from multicell.runner import integrated_by
+
+        described, own = integrated_by(described, integrator)
+
+    if (output / "summary.json").exists():  # of a whole run: refused before anything is predicted
+        refuse_results(output, overwrite=options["overwrite"])
+
+    def simulate(**how: Any) -> Result:
+        # loaded after the first words: it takes as long as all before
+        from multicell.runner import run as simulated
+
+        return simulated(described, output=output, integrator=own, **how)
+
     _simulate(simulate, described, output, **options)
 
 
@@ -163,14 +173,18 @@ def resume_command(
     may change what can change during a run: duration, stop_cells, output and the medium.
     """
     parsed = shared.parse_changes(changes)
-    from multicell.runner import resume as resumed
     from multicell.scene.scene import load_scene
 
     if not (folder / "scene.toml").exists():
         raise OutputError(f"there are no results in '{folder}': scene.toml is missing")
     scene = load_scene(folder / "scene.toml").with_changes(parsed)
-    go_on = partial(resumed, folder, frame, output=output, changes=parsed, integrator=integrator)
-    _simulate(go_on, scene, output or folder, **options)
+
+    def simulate(**how: Any) -> Result:
+        from multicell.runner import resume as resumed
+
+        return resumed(folder, frame, output=output, changes=parsed, integrator=integrator, **how)
+
+    _simulate(simulate, scene, output or folder, **options)
 
 
 @main.command("export")

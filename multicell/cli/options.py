@@ -114,7 +114,9 @@ def with_values(
         key = item.partition("=")[0].strip()
         if "=" not in item or not key:
             said = f"'{item}' is not {parameter.metavar}"
-            how = f"write the value without a space, as {parameter.opts[0]} {key or 'KEY'}='…'"
+            form = (parameter.metavar or "").partition("=")[2]
+            form = "…" if form == "VALUE" else form
+            how = f"write the value without a space, as {parameter.opts[0]} {key or 'KEY'}='{form}'"
             raise click.BadParameter(f"{said}: {how}")
     return items
 

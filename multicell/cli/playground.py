@@ -267,7 +267,7 @@ class Playground:
 
 
 def verdict(history: Mapping[str, NDArray[np.float64]]) -> str:
-    """Return in one sentence what a run has come to: rest and death, or else its growth."""
+    """Return one sentence on a run: quiescence and death, or else growth."""
     time = history["time"]
     for state, onset in (("necrotic", "necrosis"), ("quiescent", "quiescence")):
         if state in history and (some := np.flatnonzero(history[state] > 0)).size:

@@ -16,7 +16,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from importlib import import_module
-from typing import IO, Any, Final, NoReturn, final
+from typing import IO, Any, ClassVar, Final, NoReturn, final
 
 import click
 
@@ -54,16 +54,52 @@ _NUMBERS: Final = {
     r"is not in the range (\S+)<=x<=(\S+)\.": r"must be from \1 to \2.",
 }
 """What click says of a number -> what is said here."""
+_OTHER_OPTIONS: Final = {"--vary": "--free", "--free": "--vary", "--out": "--output"}
+"""Options of one command that people write for another."""
+_MEANT: Final = {
+    "version": "--version",
+    "workprecision": "compare SCENE -o out",
+    "simulate": "run SCENE -o out",
+    "check": "explain SCENE",
+    "keys": "schema",
+}
+"""Words that stand for commands -> the arguments to write."""
 DEBUG = "MULTICELL_DEBUG"  # environment variable that shows the traceback of an unexpected error
 
 
+class Group(click.Group):
+    """A group of commands that knows what people type in their place.
+
+    - ``meant``, word -> arguments to write; ``scene``: those for a scene, with ``{}`` for its name
+    """
+
+    meant: ClassVar[Mapping[str, str]] = {}
+    scene = "run {} -o out"
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the command that is asked for; refuse others with the one that was meant."""
+        name = args[0]
+        if self.get_command(ctx, name) is None:
+            above = [] if ctx.parent is None else [ctx.info_name or ""]
+            meant = {**self.meant, "help": " ".join([*above, *args[1:2], "--help"])}.get(name)
+            if meant is None and _is_scene(name):
+                meant = self.scene.format(name)
+            if meant is not None:
+                raise click.UsageError(f"No such command {name!r}: multicell {meant}.", ctx)
+        return super().resolve_command(ctx, args)
+
+
 @final
-class Commands(click.Group):
+class Commands(Group):
     """The group of all commands, which ends the process in words.
 
     - ``elsewhere``, name -> ``module:function``: commands whose modules are loaded with them
     - ``tasks``, heading -> names of commands, as the help lists them
     """
+
+    meant = _MEANT
 
     def __init__(
         self,
@@ -103,16 +139,6 @@ class Commands(click.Group):
             self.add_command(getattr(import_module(f"multicell.cli.{module}"), function))
         return super().get_command(ctx, cmd_name)
 
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Return the command that is asked for; refuse ``help`` and ``version`` with the option."""
-        name, rest = args[0], " ".join([*args[1:2], "--help"])
-        if self.get_command(ctx, name) is None and name in ("help", "version"):
-            option = "--version" if name == "version" else rest
-            raise click.UsageError(f"No such command {name!r}: multicell {option}.", ctx)
-        return super().resolve_command(ctx, args)
-
     def main(
         self,
         args: Sequence[str] | None = None,
@@ -131,6 +157,13 @@ class Commands(click.Group):
 
         with quiet_libraries() if {"--quiet", "-q"} & {*given} else nullcontext():
             leave(exit_code(command, "--json" in given))
+
+
+def _is_scene(name: str) -> bool:
+    """Return whether a word is a scene's name or file, where a command should stand."""
+    from multicell.cli.options import known_scenes
+
+    return name.endswith(".toml") or name in known_scenes()
 
 
 def _sentence(command: click.Command | None) -> str:
@@ -229,6 +262,8 @@ def _with_hint(error: click.ClickException) -> click.ClickException:
     """Return a complaint about a further argument with what that was most likely meant to be."""
     if isinstance(error, click.NoSuchOption):
         return _with_key(error)
+    if isinstance(error, click.MissingParameter):
+        return _with_example(error)
     if isinstance(error, click.BadParameter):
         said = error.message
         for pattern, words in _NUMBERS.items():
@@ -256,10 +291,25 @@ def _with_hint(error: click.ClickException) -> click.ClickException:
     return click.UsageError(f"{error.message.rstrip('.')}: {hint}.", error.ctx)
 
 
+def _with_example(error: click.MissingParameter) -> click.ClickException:
+    """Return a complaint about a missing option with an example of it."""
+    option = error.param
+    if not isinstance(option, click.Option):
+        return error
+    short = min(option.opts, key=len)
+    value = "out" if option.name == "output" else (option.metavar or "…")
+    named = " / ".join(repr(name) for name in option.opts)
+    return click.UsageError(f"Missing option {named}, for example {short} {value}.", error.ctx)
+
+
 def _with_key(error: click.NoSuchOption) -> click.ClickException:
     """Return a complaint about an option with the key of scenes that has its name."""
     from multicell.schema import specs
 
+    there = [name for entry in error.ctx.command.params for name in entry.opts] if error.ctx else []
+    other = _OTHER_OPTIONS.get(error.option_name)
+    if other in there:
+        return click.UsageError(f"No such option: {error.option_name}. Write {other}.", error.ctx)
     word = error.option_name.lstrip("-").replace("-", "_")
     takes_changes = error.ctx is not None and any(
         parameter.name == "changes" for parameter in error.ctx.command.params

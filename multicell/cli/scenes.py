@@ -116,8 +116,15 @@ def schema(as_json: bool) -> None:
     print_json(json_schema())
 
 
+def _known_program(_: click.Context, __: click.Parameter, value: str) -> str:
+    if value != "physicell":
+        example = f"multicell import physicell {value} -o out"
+        raise click.BadParameter(f"{value!r} is no program whose models are read: {example}")
+    return value
+
+
 @click.command("import")
-@click.argument("program", type=click.Choice(["physicell"]))
+@click.argument("program", metavar="physicell", callback=_known_program)
 @click.argument("settings", type=click.Path(path_type=Path))
 @shared.output_option("Folder for scene.toml, cells.csv and account.md.")
 @shared.overwrite_option("Replace files of these names.")

@@ -8,12 +8,12 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import click
 
 from multicell.cli import options as shared
-from multicell.cli.process import complain, print_json
+from multicell.cli.process import Group, complain, print_json
 from multicell.errors import ExitCode, MulticellError, exit_code_of
 from multicell.units import time_text
 
@@ -63,7 +63,12 @@ analysis_options = shared.grouped(
 """What the commands take that carry out a study and report what follows from it."""
 
 
-@click.group("study")
+class _StudyGroup(Group):
+    scene = "study new {} --vary KEY=VALUES -o study"
+    meant: ClassVar[Mapping[str, str]] = {"plan": "study new SCENE --vary KEY=VALUES -o study"}
+
+
+@click.group("study", cls=_StudyGroup)
 def study_commands() -> None:
     """Run a scene many times over: plan, run, watch and report; each with --json for machines."""
 
@@ -254,10 +259,11 @@ def carry_out_study(
     study = write_study(plan.study, output, overwrite=how["overwrite"])
     failed = []
 
-    def noted(progress: Callable[[RunOutcome], None], **workers: Any) -> Any:
+    def noted(progress: Callable[[RunOutcome], None] | None, **workers: Any) -> Any:
         def note(outcome: RunOutcome) -> None:
             failed.extend([outcome] if outcome.state == "failed" else [])
-            progress(outcome)
+            if progress is not None:  # nobody looks with --quiet
+                progress(outcome)
 
         return carry_out(plan, output, progress=note, **workers)
 

@@ -158,7 +158,7 @@ def _panel(
 
 
 def _footnote(figure: Figure, result: SolveTable, norm: str, errors: _Range) -> None:
-    """Say how far the reference is known and what a shift does, of which bands are drawn."""
+    """State the errors of the reference and of a shift, which are drawn as bands."""
     bands = [("grey band", "reference known to", result.uncertainty[norm])]
     known = result.conditioning
     if known is not None:

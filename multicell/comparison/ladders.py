@@ -39,7 +39,7 @@ class Method:
     """A method of integration with its setting.
 
     - ``name``, str: name in tables and charts
-    - ``control``, "tolerance", "step" or "none": what its setting means: a tolerance in mean
+    - ``control``, "tolerance", "step" or "none": meaning of its setting: a tolerance in mean
       radii, or a step in s; or that it has none
     - ``make``, callable: setting -> integrator
     - ``info``, MethodInfo: what is known of it; by default what the registry knows by that name
@@ -81,9 +81,9 @@ def find_method(method: Any, scene: Scene, radius: float) -> Method:
         rtol = max(0.01 * tolerance, SMALLEST_TOLERANCE)
         return build_method(info, rtol=rtol, atol=tolerance * radius, **limits)
 
-    def by_step(step: float) -> Integrator:
+    def by_step(dt: float) -> Integrator:
         # an implicit one solves its equations far more exactly than its step is exact
-        return build_method(info, step=step, atol=_SOLVED * radius, **limits)
+        return build_method(info, step=dt, atol=_SOLVED * radius, **limits)
 
     if ("step" if info.control == "step" else "atol") not in info.settings:
         return Method(info.name, "none", lambda _: build_method(info, **limits), info)

@@ -20,6 +20,7 @@ from multicell.integrators.auto import ChosenWork
 _MAX_FAILURES = 3
 """Tolerances at which a method may fail before it counts as too slow for finer ones."""
 _SHORT = 0.02  # wall time in s of a solve up to which an untimed one goes before it
+_LEAST_BUDGET, _REFERENCES = 60.0, 10.0  # s, and solves of the reference, whichever is longer
 _COMPILATION = 20.0  # wall time in s that a first coupling step may take in any case
 
 
@@ -44,6 +45,14 @@ class Effort:
     def share(self) -> float:
         """Wall time in s that the repeats of a point may take."""
         return min(self.patience / 5.0, max(self.budget, 0.0) / (2.0 * self.points))
+
+
+def default_budget(wall: float) -> float:
+    """Return the wall time in s of all solves, where the user names none.
+
+    - ``wall``: of the reference, s
+    """
+    return max(_LEAST_BUDGET, _REFERENCES * wall)
 
 
 @final

@@ -13,7 +13,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.comparison.base import CLOCKS, FAILED, SKIPPED, SOLVED, Row
 from multicell.comparison.ladders import SMALLEST_TOLERANCE
-from multicell.comparison.measure import solve_times
+from multicell.comparison.measure import default_budget, solve_times
 from multicell.comparison.measured import Measurements, open_measurements
 from multicell.comparison.network_reference import (
     NetworkReference,
@@ -213,7 +213,7 @@ def compare_networks(
         problem = record_network(described, name, count, threads, tell)
         tell("reference")
         exact = network_reference(problem)
-        left = max(60.0, 10.0 * exact.wall) if budget is None else budget
+        left = default_budget(exact.wall) if budget is None else budget
         table: list[Row] = []
         points: list[_Point] = []
         for k, method in enumerate(chosen):

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 
 NUMBERS_FILE: Final = "workprecision.json"
+_CHEAPER: Final = 1.05  # ratio of costs below which a method is no cheaper in words
 """All that was measured; it is written before anything is made of it."""
 
 COMPARISON_FILES: Final = (
@@ -291,4 +292,4 @@ class SolveTable(Comparison):
 
 def _times(ratio: float) -> str:
     """Return how much cheaper something is in words: nothing below a twentieth."""
-    return f"{ratio:.2g} times cheaper" if ratio >= 1.05 else "no cheaper"
+    return f"{ratio:.2g} times cheaper" if ratio >= _CHEAPER else "no cheaper"

@@ -43,7 +43,7 @@ class Reference:
     - ``observed``, Observed
     - ``uncertainty``, norm -> float: difference from the second solution, in the norms of
       :data:`multicell.comparison.norms`
-    - ``wall``, float, s: what it cost when it was computed
+    - ``wall``, float, s: wall time of its computation
     - ``words``, str: how the two were computed
     - ``conditioning``, Conditioning or None: what a shift at the beginning of each coupling step
       does to its end; None of a whole run, or if it was not asked for

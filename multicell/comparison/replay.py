@@ -129,9 +129,9 @@ class Trajectory:
 
     - ``positions``, list of (n, 3) float64, µm: positions at the end of each coupling step, before
       the events there
-    - ``work``, Work: what it cost in counts
-    - ``wall``, float, s: what it cost in time
-    - ``cpu``, float, s: what it cost in time of the processors, summed over the threads; other load
+    - ``work``, Work: cost in counts
+    - ``wall``, float, s: wall time
+    - ``cpu``, float, s: CPU time, summed over the threads; other load
       on the machine adds little to it
     - ``problem``, str: why it ended early, in words; empty if it reached the end
     """

@@ -15,7 +15,7 @@ from multicell.comparison.ladders import (
     settings,
     stiffness,
 )
-from multicell.comparison.measure import Effort, TimedPoint, climb, time_again
+from multicell.comparison.measure import Effort, TimedPoint, climb, default_budget, time_again
 from multicell.comparison.measured import Measurements, named_only, open_measurements
 from multicell.comparison.norms import Metric, norms_with
 from multicell.comparison.numbers import COMPARISON_FILES, NUMBERS_FILE
@@ -166,7 +166,7 @@ def compare(
             progress=note,
         )
         decay = stiffness(exact.problem, exact.trajectory)
-        left = max(60.0, 10.0 * exact.wall) if budget is None else budget
+        left = default_budget(exact.wall) if budget is None else budget
         table: list[Row] = []
         again: list[TimedPoint] = []
         for k, method in enumerate(chosen):

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from multicell.compiling.calls import address_of, call_at, called_at, kind_of
 from multicell.compiling.listeners import COMPILATION
-from multicell.compiling.options import ADDRESSED, INLINED, INNER, KERNEL, arithmetic, typed
+from multicell.compiling.options import (
+    ADDRESSED,
+    INLINED,
+    INNER,
+    KERNEL,
+    UNCOUNTED,
+    arithmetic,
+    typed,
+)
 
 __all__ = [
     "ADDRESSED",
@@ -12,6 +20,7 @@ __all__ = [
     "INLINED",
     "INNER",
     "KERNEL",
+    "UNCOUNTED",
     "address_of",
     "arithmetic",
     "call_at",

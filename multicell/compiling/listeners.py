@@ -94,6 +94,6 @@ class _Uncut(event.Listener):
         UNCUT.__exit__()
 
 
-COMPILATION = _WithoutCollector()  # what this process has compiled so far
+COMPILATION = _WithoutCollector()  # functions compiled so far in this process
 event.register("numba:compile", COMPILATION)  # type: ignore[no-untyped-call]
 event.register("numba:compiler_lock", _Uncut())  # type: ignore[no-untyped-call]

@@ -25,6 +25,9 @@ ADDRESSED: dict[str, Any] = {**KERNEL, "no_cpython_wrapper": True}
 INNER: dict[str, Any] = {**ADDRESSED, "cache": False, "pipeline_class": PieceCompiler}
 """Options of functions that other compiled code calls alone: they have no code of their own, on
 disk neither, where those are that have taken it in."""
+UNCOUNTED: dict[str, Any] = {**INNER, "_nrt": False}
+"""Options of inner functions that make no arrays: they count no references to those that their
+callers hold. Counting is atomic, and takes longer than a few lines of arithmetic."""
 INLINED: dict[str, Any] = {**INNER, "forceinline": True}
 """Options of small functions of one pair, which must not cost a call."""
 

@@ -98,11 +98,11 @@ def _difference(force: Scalar, begin_of: Scalar) -> Scalar:
     """Return the slope of a force by a central difference that stays where the law acts."""
 
     def slope(overlap, modulus, radius, p, rest, adhesion):  # type: ignore[no-untyped-def]
-        step = _STEP * radius
-        middle = max(overlap, begin_of(modulus, radius, rest, p) + step)
-        above = force(middle + step, modulus, radius, p, rest, adhesion)
-        below = force(middle - step, modulus, radius, p, rest, adhesion)
-        return (above - below) / (2.0 * step)
+        dh = _STEP * radius
+        middle = max(overlap, begin_of(modulus, radius, rest, p) + dh)
+        above = force(middle + dh, modulus, radius, p, rest, adhesion)
+        below = force(middle - dh, modulus, radius, p, rest, adhesion)
+        return (above - below) / (2.0 * dh)
 
     return slope
 

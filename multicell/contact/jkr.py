@@ -90,7 +90,8 @@ class JKR(PairLaw):
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ``SceneError`` where the smoothing is longer than the least radius of a cell."""
-        smallest = HALF * scene.cells.division_radius
+        scales = (kind.division_radius_scale for kind in scene.types.values())
+        smallest = HALF * scene.cells.division_radius * min(scales, default=1.0)
         if self.smoothing > smallest:
             problem = f"is {self.smoothing:g} um, must be at most the birth radius {smallest:g} um"
             raise SceneError("contact.smoothing", problem, "0 turns it off.")

@@ -57,7 +57,7 @@ class PairLaw(ABC):
     ``radius`` r_ij in µm (eq. 3.4). ``rest`` is r_i + r_j in µm, which only some laws need, and
     ``touching`` says whether the pair was in contact before, which only laws with a memory ask.
 
-    What a law has it declares here; nobody else asks for its class or attributes.
+    A law declares its properties here; nobody else asks for its class or attributes.
 
     - ``surface_energy``: σ, nN/µm; zero for laws that have no parameter of this name
     - ``scales``: whether larger cells with parameters scaled by their dimensions follow the same

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
 
 
-_SIX_PI = 18.84955592153876  # what √(6πσ) of a pair holds besides σ
+_SIX_PI = 18.84955592153876  # 6π of √(6πσ), the adhesion of a pair
 
 
 def adhesion_repulsion(

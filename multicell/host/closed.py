@@ -7,6 +7,7 @@ it and is the user's own, but not itself. Where systems know no owners (Windows)
 
 from __future__ import annotations
 
+import glob
 import os
 import stat
 import sys
@@ -113,6 +114,22 @@ def cache_folder(settings: Any) -> str:
     )
 
 
+def may_be_on_disk(module: str, kernel: str) -> bool:
+    """Return whether any folder that numba may use has a file of a kernel, also an old one.
+
+    - ``module``: of this package, without its name: ``"mechanics.forces"``
+    """
+    *above, name = module.split(".")
+    folder, file = os.path.join(PACKAGE, *above), f"{name}.{kernel}-*.nbi"
+    own = f"{os.path.basename(folder)}_*"  # numba adds a digest of the path
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    roots = [named] if named else [_of_user("numba"), *_private_folders()]
+    places = [os.path.join(glob.escape(root), own, file) for root in roots]
+    if not named:
+        places.append(os.path.join(glob.escape(folder), "__pycache__", file))
+    return any(next(glob.iglob(place), None) for place in places)
+
+
 def _beside_files() -> Iterator[str]:
     """Yield the folders of this package, and those of compiled code in them."""
     for folder, below, _ in os.walk(PACKAGE):
@@ -139,16 +156,22 @@ def _of_user(name: str) -> str:
     return os.path.join(above, name)
 
 
-def _private() -> str:
-    """Return a closed folder: of the user's, else of temporary files, else one for this process."""
+def _private_folders() -> tuple[str, ...]:
+    """Return the folders that take the place of one that others can write to."""
     import tempfile
 
-    known = _of_user("multicell"), os.path.join(tempfile.gettempdir(), f"multicell-{os.geteuid()}")
-    for folder in known:
+    user = os.geteuid() if _OWNERS else 0
+    return _of_user("multicell"), os.path.join(tempfile.gettempdir(), f"multicell-{user}")
+
+
+def _private() -> str:
+    """Return a closed folder: of the user's, else of temporary files, else one for this process."""
+    for folder in _private_folders():
         if not _why_unfit(folder):
             return folder
     import atexit
     import shutil
+    import tempfile
 
     folder = tempfile.mkdtemp(prefix="multicell-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)

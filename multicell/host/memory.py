@@ -1,4 +1,4 @@
-"""Memory that is free goes back to the system, which counts what a process holds, not what it uses.
+"""Memory that is free goes back to the system, which counts memory held by a process, used or not.
 
 The allocator of the C library keeps what is freed between blocks that are in use. A run with many
 cells frees arrays of all sizes in every step, and in hours holds twice what it ever needed.

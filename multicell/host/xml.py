@@ -1,4 +1,4 @@
-"""XML of others: read by Python's ``expat`` with what can do harm refused.
+"""XML of others: read by Python's ``expat`` with harmful parts refused.
 
 Nothing is expanded, fetched or executed. A document type is refused, with which entities come that
 grow without bound or name files, and so is anything that is large or deep beyond any use.

@@ -16,6 +16,7 @@ from multicell.errors import SceneError
 from multicell.host.files import read_text_of_others
 from multicell.host.xml import parse_xml
 from multicell.schema import Bounds
+from multicell.units import whole_number
 
 _MAX_BYTES = 100_000_000  # of a file: it bounds memory and time of reading
 
@@ -45,19 +46,10 @@ def shortened(text: str, most: int) -> str:
     return text if len(text) <= most else f"{text[:most]}…"
 
 
-def whole_number(text: str) -> int | None:
-    """Return the number below 2^63 that a text of digits is; None for any other text.
-
-    Python refuses to read one of thousands of digits.
-    """
-    number = int(text.lstrip("0")[:20] or "0") if text.isdecimal() else 2**63
-    return number if number < 2**63 else None
-
-
 @final
 @dataclass(eq=False, slots=True)
 class Element:
-    """An element: its tag, what it holds, and where it stands."""
+    """An element: its tag, content and place."""
 
     tag: str
     attributes: dict[str, str]
@@ -199,14 +191,30 @@ def found_file(element: Element, home: Path, tag: str = "filename") -> Path:
     under = Path("." if folder is None else folder.word() or ".") / name.word()
     home = home.resolve()
     project = home.parent if home.name == _CONFIG else home
-    places = [home.parent / under, home / under, home / name.word()]
-    if under.is_absolute():
-        places = [project.joinpath(*under.parts[k:]) for k in range(1, len(under.parts))]
+    ends = [project.joinpath(*under.parts[k:]) for k in range(1, len(under.parts))]
+    usual = [home.parent / under, home / under, home / name.word()]
+    places = ends if under.is_absolute() else [*usual, *ends]  # ends: from PhysiCell's root
     for place in places:
         if _is_file_below(place, project):
             return place
     hint = f"Looked for in '{project}', links followed; what lies outside of it is not opened."
     raise name.error(f"is '{under}', but there is no such file", hint)
+
+
+def elsewhere(element: Element, home: Path, path: Path) -> str:
+    """Return in words where a file was found, if not where PhysiCell looks for it; else nothing.
+
+    - ``home``: folder of the settings
+    - ``path``: of the file, from :func:`found_file`
+    """
+    folder, name = (element.find(each) for each in ("folder", "filename"))
+    assert name is not None
+    home = home.resolve()
+    under = Path("." if folder is None else folder.word() or ".") / name.word()
+    if path.resolve() == (home.parent / under).resolve():
+        return ""
+    project = home.parent if home.name == _CONFIG else home
+    return f"not there; taken from '{path.resolve().relative_to(project)}'"
 
 
 def _is_file_below(path: Path, folder: Path) -> bool:

@@ -95,12 +95,12 @@ class BackwardEuler(EqualSteps):
             return refused
         motion = system.motion
         count = count_equal_steps(motion.end - motion.begin, self.step)
-        step = (motion.end - motion.begin) / count
+        dt = (motion.end - motion.begin) / count
         position = np.array(position)
         for k in range(count):
-            time = motion.begin + k * step
+            time = motion.begin + k * dt
             hint = "Choose a shorter integrator.step, or the method 'cvode'"
-            implicit = _Step(self, system, position, motion.begin + (k + 1) * step, step)
+            implicit = _Step(self, system, position, motion.begin + (k + 1) * dt, dt)
             try:
                 problem = implicit.solve()
             except StateRejected as error:
@@ -109,7 +109,7 @@ class BackwardEuler(EqualSteps):
                 return Outcome(time, position, problem, hint, implicit.worst)
             cell, moved = furthest_move(position, implicit.trial, motion.radius)
             if moved > self.max_displacement:
-                problem = move_words(step, moved, self.max_displacement)
+                problem = move_words(dt, moved, self.max_displacement)
                 return Outcome(time, position, problem, hint, cell)
             position = implicit.trial
             system.work.steps += 1
@@ -121,9 +121,9 @@ class _Step:
     """The equation of one step, x - x_0 - Δt v(t_1, x) = 0, and its solution so far."""
 
     def __init__(
-        self, method: BackwardEuler, system: Mechanics, start: FloatArray, end: float, step: float
+        self, method: BackwardEuler, system: Mechanics, start: FloatArray, end: float, dt: float
     ) -> None:
-        self.method, self.system, self.start, self.end, self.step = method, system, start, end, step
+        self.method, self.system, self.start, self.end, self.dt = method, system, start, end, dt
         self.trial = start.copy()
         motion = system.motion
         radius = motion.radius + motion.radius_rate * (end - motion.begin)
@@ -150,7 +150,7 @@ class _Step:
             self.linear = system.linearisation
             if not self.descends:
                 self.linear, _ = limited(system, SOFTENING)
-            approximate.setup_preconditioner(self.step, self.linear)
+            approximate.setup_preconditioner(self.dt, self.linear)
             correction = self._correction(residual, approximate)
             found = self._search(residual, correction)
             if found is None and self.descends:
@@ -159,7 +159,7 @@ class _Step:
             if found is None:
                 self.worst = int(np.square(residual).sum(axis=1).argmax())
                 return (
-                    f"backward Euler's step of {self.step:.3g} s has no solution that a line "
+                    f"backward Euler's step of {self.dt:.3g} s has no solution that a line "
                     "search finds"
                 )
             residual, taken = found
@@ -170,13 +170,13 @@ class _Step:
         self.worst = int(np.square(residual).sum(axis=1).argmax())
         return (
             f"Newton's method did not converge in {method.newton} iterations in a step of "
-            f"{self.step:.3g} s"
+            f"{self.dt:.3g} s"
         )
 
     def _residual(self, trial: FloatArray) -> FloatArray:
         out = np.empty_like(trial)
         self.system.velocity(self.end, trial, out)
-        return np.asarray(trial - self.start - self.step * out)
+        return np.asarray(trial - self.start - self.dt * out)
 
     def _search(
         self, residual: FloatArray, correction: FloatArray
@@ -217,7 +217,7 @@ class _Step:
         if push is not None:
             force = push[:, :3] + (self.end - system.motion.begin) * push[:, 3:]
             potential -= float((force * moved).sum())
-        return 0.5 * self._product(moved, moved) + self.step * potential
+        return 0.5 * self._product(moved, moved) + self.dt * potential
 
     def _product(self, first: FloatArray, second: FloatArray) -> float:
         return float((self.weight * first * second).sum())
@@ -229,7 +229,7 @@ class _Step:
         out = np.empty_like(vector)
         self.system.work.linear_iterations += 1
         self.system.jacobian_product(vector, out, self.linear)
-        return np.asarray(vector - self.step * out)
+        return np.asarray(vector - self.dt * out)
 
     def _correction(self, residual: FloatArray, approximate: Sweeps | Mechanics) -> FloatArray:
         """Solve (I - ΔtJ) x = -residual as far as ``forcing`` asks, or find a way down."""

@@ -115,10 +115,10 @@ USUAL_ATOL = 0.1  # absolute tolerance of methods whose worst cell is safe with 
 OUT_OF_STEPS_HINT = "Raise integrator.max_steps, loosen integrator.atol or shorten coupling_step"
 
 
-def move_words(step: float, moved: float, allowed: float) -> str:
+def move_words(dt: float, moved: float, allowed: float) -> str:
     """Return the words for a step, s, that would move a cell too far, both in its radius."""
     return (
-        f"a step of {step:.3g} s would move the cell by {moved:.3g} of its radius "
+        f"a step of {dt:.3g} s would move the cell by {moved:.3g} of its radius "
         f"(allowed: {allowed:g})"
     )
 
@@ -183,9 +183,9 @@ class MethodInfo:
     friction : bool
         Whether it can solve scenes with friction between cells, where J is a full matrix.
     atol : float, µm
-        Absolute tolerance where a scene, or a caller of the class, names none: a class with
-        another one than usual has ``atol: float = info.atol``. What it means for single cells is
-        measured by ``docs/programs/tolerances.py``.
+        Absolute tolerance where a scene, or a caller of the class, names none: a class with another
+        one than usual has ``atol: float = info.atol``. ``docs/programs/tolerances.py`` measures its
+        effect on single cells.
     most_cells : int or None
         Most cells that it holds; None for any number.
     why_no_more : str

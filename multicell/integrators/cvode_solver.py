@@ -109,7 +109,7 @@ class UnpreconditionedCvode(_Session):
             jactimes=CVODEJacTimes(None, self.product),
         )
 
-    def step(self) -> Taken:
+    def take_step(self) -> Taken:
         """Take one step; ask for the full method where the last ones took many evaluations."""
         if self._probed:
             return self._probed.pop(0)
@@ -193,18 +193,18 @@ class Krylov(_Session):
             precond=CVODEPrecond(self.setup, self.solve, side="right"),
         )
 
-    def step(self) -> Taken:
+    def take_step(self) -> Taken:
         """Take one step."""
         result = one_step(self.solver, self.run.left)
-        step, self._reached = float(result.t) - self._reached, float(result.t)
-        return self._predictor.taken(result.t, result.y, self._order(step))
+        dt, self._reached = float(result.t) - self._reached, float(result.t)
+        return self._predictor.taken(result.t, result.y, self._order(dt))
 
-    def _order(self, step: float) -> int:
+    def _order(self, dt: float) -> int:
         """Return the order of a step of BDF, by its γ: h/γ = 1 + 1/2 + ... + 1/q."""
         if self.method.formula != "BDF" or not self._used < np.inf:
             return 1
         sums = np.cumsum(1.0 / np.arange(1, _MAX_ORDER["BDF"] + 1))
-        return 1 + int(np.abs(sums - step / self._used).argmin())
+        return 1 + int(np.abs(sums - dt / self._used).argmin())
 
     def linearise(self, t: float, y: FloatArray, yp: FloatArray) -> None:
         """Get ready for products before a linear solve."""

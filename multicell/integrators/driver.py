@@ -153,25 +153,25 @@ def _failure(
     max_displacement: float,
     hint: str,
 ) -> Outcome:
-    step = f"step of {report.step:.3g} s"
+    last_step = f"step of {report.dt:.3g} s"
     cell = int(report.cell) if report.cell >= 0 else None
     if report.status == stepping.MOVED:
-        problem = base.move_words(report.step, report.moved, max_displacement)
+        problem = base.move_words(report.dt, report.moved, max_displacement)
     elif report.status == stepping.OUT_OF_STEPS:
-        problem = f"the largest number of internal steps did not reach the end (last {step})"
+        problem = f"the largest number of internal steps did not reach the end (last {last_step})"
         hint = base.OUT_OF_STEPS_HINT
     elif report.status == stepping.TOO_LONG:
         problem = f"the whole interval would take about {report.moved:.0f} evaluations"
         hint = "Take a method for stiff problems, such as 'cvode' or 'rkc2'"
     elif report.status == stepping.STALLED:
-        problem = f"steps became too short to continue (last {step})"
+        problem = f"steps became too short to continue (last {last_step})"
     elif report.status == stepping.REJECTED:
         words = getattr(source, "problem", "") or "cells lie on top of each other"
-        problem = f"in a {step} {words}"
+        problem = f"in a {last_step} {words}"
     else:
         lost = ~np.isfinite(state).all(axis=1)
         cell = int(lost.argmax()) if cell is None and lost.any() else cell
-        problem = f"in a {step} a position is not a number"
+        problem = f"in a {last_step} a position is not a number"
     return Outcome(begin + report.elapsed, state, problem, hint, cell)
 
 

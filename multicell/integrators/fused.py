@@ -1,8 +1,8 @@
 """Arithmetic of a step on whole populations, each in one pass that threads share.
 
 Memory is what takes the time of many cells, so that a step is made of few passes over it. Each
-works through chunks of cells and notes what it finds for each of them, from which the caller makes
-what holds for all, in the order of the chunks: it has the same bits for any number of threads.
+works through chunks of cells and notes a result for each of them. The caller combines these in the
+order of the chunks, so that any number of threads gives the same bits.
 
 Like the kernels of forces the passes are compiled once, and called by loops at an address. Python
 calls them for one thread.
@@ -53,7 +53,7 @@ def _foresee(a, u, b, v, position, radius, out, found):
 
 
 def _assess(a, new, b, now, c, old, position, trial, rtol, atol, found):
-    """Weigh the error a new + b now + c old of a step, slopes; note what each chunk has of it.
+    """Weigh the error a new + b now + c old of a step, slopes; note the part of each chunk.
 
     ``found`` is (chunks, 2): its first column is given the sums of squares over the tolerance.
     """

@@ -19,6 +19,7 @@ from multicell.integrators import (
     scipy,
 )
 from multicell.integrators.base import MethodInfo, build_method, info_of
+from multicell.units import whole_number
 
 if TYPE_CHECKING:
     from multicell.integrators.base import Integrator
@@ -46,11 +47,12 @@ def meant_by(name: str) -> str:
 
 def find(name: str) -> MethodInfo | None:
     """Return the information on a method, or on a variant such as ``"rkc2-5"``."""
-    whole, _, number = name.rpartition("-")
-    if name in METHODS or whole not in METHODS or not number.isdecimal():
+    whole, _, digits = name.rpartition("-")
+    number = whole_number(digits)
+    if name in METHODS or whole not in METHODS or number is None:
         return METHODS.get(name)
     variant = METHODS[whole].variant
-    return None if variant is None else variant(int(number))
+    return None if variant is None else variant(number)
 
 
 def from_options(options: IntegratorOptions) -> Integrator:
@@ -70,12 +72,12 @@ def from_options(options: IntegratorOptions) -> Integrator:
 
 def instantiate(info: MethodInfo, options: IntegratorOptions) -> Integrator:
     """Return the integrator of a method with a scene's options."""
-    step = {"step": options.step} if info.control == "step" else {}
+    fixed = {"step": options.step} if info.control == "step" else {}
     return build_method(
         info,
         rtol=options.rtol,
         atol=info.atol if options.atol is None else options.atol,
         max_steps=options.max_steps,
         max_displacement=options.max_displacement,
-        **step,
+        **fixed,
     )

@@ -64,7 +64,7 @@ class Solver(Protocol):
     A step of 1e-10 s would be lost on a clock that shows days.
     """
 
-    def step(self) -> Taken:
+    def take_step(self) -> Taken:
         """Take one step."""
 
     def close(self) -> None:
@@ -170,7 +170,7 @@ class IntegrationProgress:
                 refused_at = self.steps
                 if refusals > _MAX_REFUSALS:
                     break
-                ceiling = _SHORTER * (refusal.step or self.left)
+                ceiling = _SHORTER * (refusal.dt or self.left)
                 continue
             except Restart:
                 continue
@@ -200,8 +200,8 @@ class IntegrationProgress:
                 self.problem = f"{self.steps} internal steps did not reach the end"
                 self.hint = OUT_OF_STEPS_HINT
                 return False
-            step = self._step(solver)
-            held = held + 1 if step > 0.9 * ceiling else 0
+            dt = self._step(solver)
+            held = held + 1 if dt > 0.9 * ceiling else 0
             if ceiling > 0.0 and held >= _STEPS_BEFORE_LIFT and self.elapsed < self.length:
                 return True
         return False
@@ -210,7 +210,7 @@ class IntegrationProgress:
         """Take one step if it may be taken; return its length."""
         before = self.elapsed - self.offset
         try:
-            reached, moved_to, expected, speed = solver.step()
+            reached, moved_to, expected, speed = solver.take_step()
         except (StateRejected, StepImpossible) as error:
             raise _Refused(str(error), self.latest - before) from error
         if expected > self._most_error:
@@ -253,9 +253,9 @@ class IntegrationProgress:
             self._most_error,
         )
         if part < 1.0:
-            step = reached - before
-            words = f"a contact forms within a step of {step:.3g} s"
-            raise _Refused(words, step * max(part, LEAST_PART) / _SHORTER)
+            dt = reached - before
+            words = f"a contact forms within a step of {dt:.3g} s"
+            raise _Refused(words, dt * max(part, LEAST_PART) / _SHORTER)
 
 
 def one_step(solver: Any, left: float) -> Any:
@@ -310,9 +310,9 @@ class Predictor:
 
 
 class _Refused(Exception):  # noqa: N818 - control flow inside this module
-    """A step that must not be taken; ``step`` is its length in s, where it is known."""
+    """A step that must not be taken; ``dt`` is its length in s, where it is known."""
 
-    def __init__(self, problem: str, step: float, cell: int | None = None) -> None:
+    def __init__(self, problem: str, dt: float, cell: int | None = None) -> None:
         super().__init__(problem)
-        self.step = max(step, 0.0)
+        self.dt = max(dt, 0.0)
         self.cell = cell

@@ -154,12 +154,12 @@ class Resolvent:
         self.system.linearise(time, position)
         self.linear, _ = limited(self.system, self.method.softening)
 
-    def setup(self, step: float) -> None:
+    def setup(self, dt: float) -> None:
         """Prepare for a step; refuse one that is too long for what grows."""
-        self.step = step
-        self.system.setup_preconditioner(_D * step, self.linear)
+        self.dt = dt
+        self.system.setup_preconditioner(_D * dt, self.linear)
         self._age += 1
-        if self._age > _AGE or step > _LONGER * self._probed:
+        if self._age > _AGE or dt > _LONGER * self._probed:
             self._probe()
 
     def solve(
@@ -170,7 +170,7 @@ class Resolvent:
         No row of the residual is longer than ``allowed``, nor than a ``share`` of the longest row
         of b: what moves less than the tolerance moves too, and may grow.
         """
-        radius, gamma = self.system.motion.radius, _D * self.step
+        radius, gamma = self.system.motion.radius, _D * self.dt
         allowed = min(allowed, share * largest_length(right))
         if guess is None:
             solution = np.zeros_like(right)
@@ -194,8 +194,8 @@ class Resolvent:
             self._left += self._slowest / size
         solution = np.zeros_like(self._left)
         self._age, self._probed = 0, 0.0  # of a step that is refused nothing is known
-        self._iterate(self.step / self.method.growth, solution, 1.0, 0.0, _PROBE)
-        self._slowest, self._probed = solution, self.step
+        self._iterate(self.dt / self.method.growth, solution, 1.0, 0.0, _PROBE)
+        self._slowest, self._probed = solution, self.dt
 
     def _iterate(
         self, gamma: float, solution: FloatArray, size: float, allowed: float, most: int
@@ -218,11 +218,11 @@ class Resolvent:
             system.jacobian_product(direction, image, self.linear)
             curvature, square = _image(radius, gamma, direction, image)
             rate = (1.0 - curvature / square) / gamma
-            if not self.step * rate <= self.method.growth:
+            if not self.dt * rate <= self.method.growth:
                 allowed_step = self.method.growth / rate if rate > 0.0 else 0.0
                 raise Refused(
                     f"disturbances grow at a rate of {rate:.3g} /s",
-                    max(0.1, min(0.5, 0.9 * allowed_step / self.step)),
+                    max(0.1, min(0.5, 0.9 * allowed_step / self.dt)),
                 )
             size = _advance(product / curvature, direction, image, solution, left)
         return size
@@ -260,35 +260,35 @@ class Walk:
             self.system.velocity(begin, self.position, self.velocity)
         except StateRejected as error:
             return Outcome(begin, self.position, str(error), _HINT)
-        step, previous, held = self._first_step(), 1.0, False
+        dt, previous, held = self._first_step(), 1.0, False
         while self.elapsed < self.length:
-            step = fit_step(step, self.length - self.elapsed)
-            failed = self._ended(step)
+            dt = fit_step(dt, self.length - self.elapsed)
+            failed = self._ended(dt)
             if failed is not None:
                 return failed
             try:
-                size = self._step(step)
+                size = self._step(dt)
             except (StateRejected, Refused) as error:
                 # the error itself is not kept: its traceback holds this frame and all arrays in it
                 factor, self._problem, self._cell = 0.25, str(error), None
                 if isinstance(error, Refused):
                     factor, self._cell = error.factor, error.cell
                 self.system.work.rejections += 1
-                step, held = factor * step, True
+                dt, held = factor * dt, True
                 continue
-            wanted = next_step(step, size, previous, _ORDER)
+            wanted = next_step(dt, size, previous, _ORDER)
             # no growth right after a refusal
-            step = min(step, wanted) if held else wanted
+            dt = min(dt, wanted) if held else wanted
             held, previous = False, max(size, 1e-4)
         return Outcome(self.system.motion.end, self.position)
 
-    def _ended(self, step: float) -> Outcome | None:
+    def _ended(self, dt: float) -> Outcome | None:
         """Return how the integration ends if no further step can be tried."""
         time = self.system.motion.begin + self.elapsed
         if self._steps == self.method.max_steps:
             problem = f"{self._steps} internal steps did not reach the end"
             return Outcome(time, self.position, problem, OUT_OF_STEPS_HINT, self._cell)
-        if step < _SHORTEST * self.length:
+        if dt < _SHORTEST * self.length:
             problem = f"steps became too short to continue: {self._problem}"
             return Outcome(time, self.position, problem, _HINT, self._cell)
         return None
@@ -301,63 +301,63 @@ class Walk:
         wanted = float(_FIRST * self.method.atol / speed)
         return min(self.length, max(1e-6 * self.length, wanted))
 
-    def _step(self, step: float) -> float:
+    def _step(self, dt: float) -> float:
         """Take a step; return its estimated error over the allowed one."""
         system, motion = self.system, self.system.motion
         begin = motion.begin + self.elapsed
-        last = step == self.length - self.elapsed
-        end = motion.end if last else begin + step
+        last = dt == self.length - self.elapsed
+        end = motion.end if last else begin + dt
         if not self._linearised:
             self._resolvent.linearise(begin, self.position)
             self._linearised = True
-        self._resolvent.setup(step)
-        steps_left = (motion.end - end) / step
+        self._resolvent.setup(dt)
+        steps_left = (motion.end - end) / dt
         self._bound = self._tolerances * min(self._largest, max(1.0, steps_left / _FORGOTTEN))
-        trial, errors = self._stages(begin, step, end)
+        trial, errors = self._stages(begin, dt, end)
         rtol, atol = self.method.rtol, self.method.atol
         size = max(worst_cell(error, self.position, trial, rtol, atol) for error in errors)
         size /= self._bound
         if not size <= 1.0:
             raise Refused(
-                f"a step of {step:.3g} s is not exact enough",
+                f"a step of {dt:.3g} s is not exact enough",
                 step_after_error(1.0, size, _ORDER, 0.2),
             )
         part = system.missed_contact(
             begin, end, self.position, trial, self.velocity, self._end, self._moved, atol
         )
         if part < 1.0:
-            raise Refused(f"a contact forms within a step of {step:.3g} s", max(part, LEAST_PART))
+            raise Refused(f"a contact forms within a step of {dt:.3g} s", max(part, LEAST_PART))
         self.position = trial
         self.velocity, self._end = self._end, self.velocity
         self._slope, self._last = self._last, self._slope
-        self.elapsed = self.length if last else self.elapsed + step
+        self.elapsed = self.length if last else self.elapsed + dt
         self._linearised = False
         self._steps += 1
         system.work.steps += 1
         return float(size)
 
     def _stages(
-        self, begin: float, step: float, end: float
+        self, begin: float, dt: float, end: float
     ) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
         """Return the end of a step and two estimates of its error, (n, 3) µm each.
 
         The method's own one is smoothed by (I - γA)⁻¹, and a contact that forms within a long step
-        hardly shows in it. The other is what A does not explain of the change of velocity.
+        hardly shows in it. The other is the part of the change of velocity that A does not explain.
         """
         method, system, start = self.method, self.system, self.position
         solve = self._resolvent.solve
-        allowed = _FORCING * self._bound * method.atol / step
-        drift = self._drift(begin, step)
+        allowed = _FORCING * self._bound * method.atol / dt
+        drift = self._drift(begin, dt)
         first = solve(self.velocity + drift, self._slope, allowed)
-        system.velocity(0.5 * (begin + end), start + (0.5 * step) * first, self._middle)
+        system.velocity(0.5 * (begin + end), start + (0.5 * dt) * first, self._middle)
         second = first + solve(self._middle - first, None, allowed)
-        trial = start + step * second
+        trial = start + dt * second
         cell, moved = furthest_move(start, trial, system.motion.radius)
         self._moved = moved
         if not moved <= method.max_displacement:
             allowed_move = method.max_displacement
             raise Refused(
-                move_words(step, moved, allowed_move),
+                move_words(dt, moved, allowed_move),
                 step_after_move(1.0, moved, allowed_move),
                 cell,
             )
@@ -367,14 +367,14 @@ class Walk:
         self._last = solve(right, second, 4.0 * allowed, 1.0)
         system.jacobian_product(trial - start, self._change, self._resolvent.linear)
         self._change += self.velocity + drift / _D - self._end
-        smoothed = (step / 6.0) * (first - 2.0 * second + self._last)
-        return trial, (smoothed, (method.sharp * step) * self._change)
+        smoothed = (dt / 6.0) * (first - 2.0 * second + self._last)
+        return trial, (smoothed, (method.sharp * dt) * self._change)
 
-    def _drift(self, begin: float, step: float) -> FloatArray | float:
+    def _drift(self, begin: float, dt: float) -> FloatArray | float:
         """Return γ ∂v/∂t."""
         if not self._moving:
             return 0.0
-        self.system.velocity(begin + 0.5 * step, self.position, self._later)
+        self.system.velocity(begin + 0.5 * dt, self.position, self._later)
         return (2.0 * _D) * (self._later - self.velocity)
 
 

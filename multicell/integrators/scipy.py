@@ -141,7 +141,7 @@ class _Stepped:
         """Empty SciPy's solver, whose functions hold it and this object."""
         vars(self.solver).clear()
 
-    def step(self) -> Taken:
+    def take_step(self) -> Taken:
         """Take one step; SciPy keeps its estimate of the error to itself."""
         from multicell.integrators.restarts import StepImpossible, Taken
 

@@ -63,7 +63,7 @@ class Replays(NamedTuple):
 
 
 def shifted_positions(
-    position: FloatArray, shift: float, seed: int, step: int, ids: IntArray, dimensions: int
+    position: FloatArray, shift: float, seed: int, step_index: int, ids: IntArray, dimensions: int
 ) -> FloatArray:
     """Return shifted positions, (n, 3) µm.
 
@@ -71,7 +71,7 @@ def shifted_positions(
     seed, the step and the identity alone; cells of a plane stay in it.
     """
     free = np.arange(3) < dimensions
-    noise = normal(seed, Purpose.CONDITIONING, step, ids, 3)
+    noise = normal(seed, Purpose.CONDITIONING, step_index, ids, 3)
     return np.asarray(position + shift * free * noise)
 
 
@@ -91,7 +91,7 @@ def replay_step(
       ``start``
 
     Returns float or None: largest distance of a cell from ``end``, µm; None if the end is not
-    reached from there; float: what it cost, in evaluations of one cell.
+    reached from there; float: its cost, in evaluations of one cell.
     """
     system.begin(system.motion)
     work, counts = system.work, vars(system.work).copy()

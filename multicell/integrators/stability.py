@@ -149,12 +149,12 @@ def glance(system: Mechanics, time: float, position: FloatArray) -> float:
     return math.sqrt(float((weight * image * image).sum()) / speed) if speed > 0.0 else 0.0
 
 
-def refusal_words(method: Any, step: float, limit: float, rate: float) -> tuple[str, str]:
+def refusal_words(method: Any, dt: float, limit: float, rate: float) -> tuple[str, str]:
     """Return the words for a step that is beyond the limit all through a coupling step."""
     name = info_of(method).name
     longest = limit / rate
     return (
-        f"the step of {step:.4g} s of {name!r} is beyond its limit of stability, {longest:.4g} s: "
+        f"the step of {dt:.4g} s of {name!r} is beyond its limit of stability, {longest:.4g} s: "
         f"the fastest motion decays at {rate:.4g}/s, and that times the step must stay below "
         f"{limit:g}",
         f"Choose integrator.step = {_SAFE * longest:.2g} or shorter, or a method with error "

@@ -41,7 +41,7 @@ from multicell.mechanics.system import Mechanics
 DONE, REJECTED, NOT_FINITE, MOVED, STALLED, OUT_OF_STEPS, TOO_LONG = range(7)
 """How a loop, or one evaluation, ended."""
 EVALUATIONS, LIST_BUILDS, LIST_REPAIRS, STEPS, REJECTIONS = range(5)  # in the array of counts
-ELAPSED, STEP, PREVIOUS, HELD = range(4)
+ELAPSED, DT, PREVIOUS, HELD = range(4)
 """Places in the state of error control: time since the beginning and next step, s; size of the last
 error; steps refused since the last accepted one."""
 
@@ -97,7 +97,7 @@ class Report(NamedTuple):
 
     status: int
     elapsed: float
-    step: float
+    dt: float
     cell: int
     moved: float
 
@@ -146,7 +146,7 @@ def _compiled_evaluate(source, pairs, elapsed, position, out):
     return run
 
 
-def part_of_step(source, pairs, before, after, slope, end_slope, elapsed, step, moved, tolerance):
+def part_of_step(source, pairs, before, after, slope, end_slope, elapsed, dt, moved, tolerance):
     """Return the part of a step to be taken where it misses a contact that forms in it, else 1.
 
     See :func:`multicell.mechanics.forces.missed_contact`. The steps of an explicit method follow
@@ -157,16 +157,16 @@ def part_of_step(source, pairs, before, after, slope, end_slope, elapsed, step, 
         return 1.0
     begin = system.motion.begin + elapsed
     return system.missed_contact(
-        begin, begin + step, before, after, slope, end_slope, moved, tolerance
+        begin, begin + dt, before, after, slope, end_slope, moved, tolerance
     )
 
 
 @overload(part_of_step)
-def _compiled_part(source, pairs, before, after, slope, end_slope, elapsed, step, moved, tolerance):
+def _compiled_part(source, pairs, before, after, slope, end_slope, elapsed, dt, moved, tolerance):
     if getattr(source, "instance_class", None) is not Source:
         return None
 
-    def run(source, pairs, before, after, slope, end_slope, elapsed, step, moved, tolerance):
+    def run(source, pairs, before, after, slope, end_slope, elapsed, dt, moved, tolerance):
         if source.missed_at == 0:
             return 1.0
         return _missed_at(
@@ -180,7 +180,7 @@ def _compiled_part(source, pairs, before, after, slope, end_slope, elapsed, step
             slope,
             end_slope,
             float(elapsed),
-            float(step),
+            float(dt),
             float(moved),
             float(tolerance),
         )
@@ -226,7 +226,7 @@ def _evaluation(source, pairs, elapsed, position, out):
         source.counts[LIST_REPAIRS if found == updating.REPAIRED else LIST_BUILDS] += 1
         if found == updating.TOO_CROWDED:
             return REJECTED, pairs
-        pairs = forces.PairData(*listed, pairs.sticky, pairs.unit, pairs.onset, pairs.period)
+        pairs = forces.PairData(*listed, pairs.adhesion, pairs.unit, pairs.onset, pairs.period)
     return DONE, pairs
 
 
@@ -330,16 +330,16 @@ def copy(source, out):
 
 
 @arithmetic
-def displace(position, step, direction, out):
-    """Write position + step x direction; ``out`` may be either of them."""
+def displace(position, dt, direction, out):
+    """Write position + dt x direction; ``out`` may be either of them."""
     x, v, y = position.reshape(-1), direction.reshape(-1), out.reshape(-1)
     for k in range(y.size):
-        y[k] = x[k] + step * v[k]
+        y[k] = x[k] + dt * v[k]
 
 
 @arithmetic
-def combine_slopes(position, step, weights, slopes, count, out):
-    """Write position + step Σ_j weights_j slopes_j over the first ``count`` slopes.
+def combine_slopes(position, dt, weights, slopes, count, out):
+    """Write position + dt Σ_j weights_j slopes_j over the first ``count`` slopes.
 
     In blocks that stay in the nearest cache, while each slope streams through once.
     """
@@ -349,7 +349,7 @@ def combine_slopes(position, step, weights, slopes, count, out):
         for k in range(begin, end):
             y[k] = x[k]
         for j in range(count):
-            w = step * weights[j]
+            w = dt * weights[j]
             if w != 0.0:
                 slope = slopes[j].reshape(-1)
                 for k in range(begin, end):
@@ -357,12 +357,12 @@ def combine_slopes(position, step, weights, slopes, count, out):
 
 
 @arithmetic
-def error_of(step, weights, slopes, out):
-    """Write step Σ_j weights_j slopes_j."""
+def error_of(dt, weights, slopes, out):
+    """Write dt Σ_j weights_j slopes_j."""
     y = out.reshape(-1)
     for k in range(y.size):
         y[k] = 0.0
-    combine_slopes(out, step, weights, slopes, weights.size, out)
+    combine_slopes(out, dt, weights, slopes, weights.size, out)
 
 
 @arithmetic
@@ -408,31 +408,31 @@ def starting_step(source, pairs, control, position, slope, trial, other, length,
     """
     size = weighted_rms(position, position, position, control.rtol, control.atol)
     speed = weighted_rms(slope, position, position, control.rtol, control.atol)
-    step = length
+    dt = length
     if speed > 0.0:
-        step = min(step, 0.01 * size / speed)
+        dt = min(dt, 0.01 * size / speed)
     displace(position, 1.0, slope, trial)
     _, moved = furthest_move(position, trial, radius)
-    if moved * step > 0.1 * control.max_displacement:
-        step = 0.1 * control.max_displacement / moved
-    step = max(step, 1e-6 * length)
-    displace(position, step, slope, trial)
-    status, pairs = evaluate(source, pairs, step, trial, other)
+    if moved * dt > 0.1 * control.max_displacement:
+        dt = 0.1 * control.max_displacement / moved
+    dt = max(dt, 1e-6 * length)
+    displace(position, dt, slope, trial)
+    status, pairs = evaluate(source, pairs, dt, trial, other)
     if status != DONE:
         return 1e-6 * length, pairs
     displace(other, -1.0, slope, other)
-    bend = weighted_rms(other, position, position, control.rtol, control.atol) / step
+    bend = weighted_rms(other, position, position, control.rtol, control.atol) / dt
     largest = max(speed, bend) / control.strictness
     if largest > 0.0:
-        return min(100.0 * step, (0.01 / largest) ** (1.0 / control.order), length), pairs
+        return min(100.0 * dt, (0.01 / largest) ** (1.0 / control.order), length), pairs
     return length, pairs
 
 
 @arithmetic
-def control_state(step):
+def control_state(dt):
     """Return the state of error control at the beginning: see ``ELAPSED`` and the others."""
     walk = np.zeros(4)
-    walk[STEP], walk[PREVIOUS] = step, 1.0
+    walk[DT], walk[PREVIOUS] = dt, 1.0
     return walk
 
 
@@ -441,7 +441,7 @@ def stop_reason(walk, counts, control, length):
     """Return why no step can be tried, or ``DONE``."""
     if counts[STEPS] == control.most_steps:
         return OUT_OF_STEPS
-    stuck = walk[STEP] < _SHORTEST * length or walk[HELD] > _MOST_REFUSALS
+    stuck = walk[DT] < _SHORTEST * length or walk[HELD] > _MOST_REFUSALS
     return STALLED if stuck else DONE
 
 
@@ -451,7 +451,7 @@ def refuse_step(walk, counts, control, status, moved):
     if status == DONE and not moved > control.max_displacement:
         return False
     counts[REJECTIONS] += 1
-    walk[STEP] = step_after_move(walk[STEP], moved, control.max_displacement)
+    walk[DT] = step_after_move(walk[DT], moved, control.max_displacement)
     walk[HELD] += 1.0
     return True
 
@@ -460,7 +460,7 @@ def refuse_step(walk, counts, control, status, moved):
 def shorten_step(walk, counts, part):
     """Refuse a step; a part of it is tried next."""
     counts[REJECTIONS] += 1
-    walk[STEP] *= max(part, LEAST_PART)
+    walk[DT] *= max(part, LEAST_PART)
     walk[HELD] += 1.0
 
 
@@ -484,54 +484,54 @@ def control_step(walk, counts, control, length, size, least, most, steady):
 
     ``size`` is its weighted root mean square.
     """
-    step = walk[STEP]
+    dt = walk[DT]
     size /= control.strictness
     if not size <= 1.0:
         counts[REJECTIONS] += 1
-        walk[STEP] = step_after_error(step, size, control.order, least)
+        walk[DT] = step_after_error(dt, size, control.order, least)
         walk[HELD] += 1.0
         return False
-    walk[ELAPSED] = length if step == length - walk[ELAPSED] else walk[ELAPSED] + step
+    walk[ELAPSED] = length if dt == length - walk[ELAPSED] else walk[ELAPSED] + dt
     counts[STEPS] += 1
-    wanted = min(next_step(step, size, walk[PREVIOUS], control.order), most * step)
-    if steady and 0.9 * step < wanted < 1.2 * step:
-        wanted = step
+    wanted = min(next_step(dt, size, walk[PREVIOUS], control.order), most * dt)
+    if steady and 0.9 * dt < wanted < 1.2 * dt:
+        wanted = dt
     # no growth right after a refusal
-    walk[STEP] = min(step, wanted) if walk[HELD] > 0.0 else wanted
+    walk[DT] = min(dt, wanted) if walk[HELD] > 0.0 else wanted
     walk[HELD], walk[PREVIOUS] = 0.0, max(size, 1e-4)
     return True
 
 
 @arithmetic
-def step_after_error(step, error, order, least):
+def step_after_error(dt, error, order, least):
     """Return the step to try after one with too large an error, in units of the allowed one."""
     if not math.isfinite(error):
-        return 0.2 * step
-    return step * max(least, 0.9 * error ** (-1.0 / order))
+        return 0.2 * dt
+    return dt * max(least, 0.9 * error ** (-1.0 / order))
 
 
 @arithmetic
-def next_step(step, error, previous, order):
+def next_step(dt, error, previous, order):
     """Return the next step by PI control (Gustafsson)."""
     error = max(error, 1e-10)
     factor = 0.9 * error ** (-0.7 / order) * previous ** (0.4 / order)
-    return step * min(5.0, max(0.2, factor))
+    return dt * min(5.0, max(0.2, factor))
 
 
 @arithmetic
-def step_after_move(step, moved, allowed):
+def step_after_move(dt, moved, allowed):
     """Return the step to try after one that moved a cell too far, or had no velocity."""
     if not moved > allowed:
-        return 0.25 * step
-    return step * max(0.1, min(0.7, 0.8 * allowed / moved))
+        return 0.25 * dt
+    return dt * max(0.1, min(0.7, 0.8 * allowed / moved))
 
 
 @arithmetic
-def fit_step(step, left):
+def fit_step(dt, left):
     """Return a step that does not leave a tiny rest of the interval."""
-    if step >= left * (1.0 - 1e-12):
+    if dt >= left * (1.0 - 1e-12):
         return left
-    return min(step, 0.5 * left)
+    return min(dt, 0.5 * left)
 
 
 @arithmetic

@@ -137,7 +137,7 @@ def finite_entry(text: str, place: str) -> float:
         raise DataError(place, f"is {text[:40]!r}, must be a number", hint) from None
     if not math.isfinite(number):
         hint = "Leave the field empty where nothing was measured."
-        raise DataError(place, f"is {text}, must be a finite number", hint)
+        raise DataError(place, f"is {text[:40]}, must be a finite number", hint)
     return number
 
 

@@ -34,7 +34,7 @@ class MeasuredComparison:
     data
         The measurements that the runs have something to compare with.
     runs : (k, n) float64
-        What each run has in place of each datum, in base units.
+        Value of each run in place of each datum, in base units.
     histories
         Of the runs: column -> (m,).
     units

@@ -1,7 +1,7 @@
 """Measured data of runs: a table with units in its header, checked before anything runs.
 
-One row for each measurement, from a CSV file or a pandas ``DataFrame``. What a column holds is said
-by its title, ``NAME / UNIT`` (or ``NAME [UNIT]``)::
+One row for each measurement, from a CSV file or a pandas ``DataFrame``. The title of a column
+states its content, ``NAME / UNIT`` (or ``NAME [UNIT]``)::
 
     time / h, diameter / um, diameter sd / um, cells, nutrients.oxygen.boundary / mM
     48,       272,           14,               1472,  0.2
@@ -53,6 +53,7 @@ from multicell.measured.observables import at_the_end, in_history, suggest
 from multicell.measured.table import read_measurements
 from multicell.results.observable import represented
 from multicell.scene.scene import Scene
+from multicell.scene.sizes import division_radius
 from multicell.schema import chosen, leaves
 from multicell.tables.columns import Table
 
@@ -314,7 +315,7 @@ class _Rows:
                     "is 0, of which a relative standard deviation says nothing",
                     f"Add a column '{column.name} sd' with its unit.",
                 )
-            sigma = self._scenes[condition].cells.division_radius / size
+            sigma = division_radius(self._scenes[condition]) / size
         elif relative is None:
             assert given is not None
             sigma = given
@@ -398,7 +399,7 @@ class _Rows:
                 f"Set the scene's duration, or give all rows a time: '--set duration={last:g}'.",
             )
         if last == 0.0:
-            problem = "is of the run's very start, which says nothing of what a run does"
+            problem = "is of the run's very start, before anything happens in a run"
             raise DataError(f"{self._table.name}, {own[-1].place}", problem)
         try:
             return replace(scene, duration=last)

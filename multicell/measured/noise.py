@@ -59,12 +59,17 @@ class Noise:
 
     - ``errors``, (n, n): covariance of their errors
     - ``shared``, (n, n): part of the covariance of runs that the tissues of two data share
-    - ``freedom``: degrees of freedom of errors that are known from specimens; infinite for others
+    - ``freedom``: degrees of freedom of errors that are known from specimens, or from the residuals
+      of a fit; infinite for others
+    - ``unknown``: numbers of the data that share a factor on their errors that nobody knows
+    - ``residual``: whether ``freedom`` is that of the residuals of a fit
     """
 
     errors: Array
     shared: Array
     freedom: float = math.inf
+    unknown: tuple[NDArray[np.int64], ...] = ()
+    residual: bool = False
 
     @classmethod
     def of_means(cls, tissues: Array) -> Self:
@@ -89,7 +94,39 @@ class Noise:
         - ``more``, (k, n) or (n,): scatter of runs and errors of means and emulators
         """
         total = np.diag(self.errors) + more
+        for numbers in self.unknown:
+            squares, own = residuals[:, numbers] ** 2, np.diag(self.errors)[numbers]
+            other = np.broadcast_to(more, residuals.shape)[:, numbers]
+            total = np.broadcast_to(total, residuals.shape).copy()
+            total[:, numbers] = likeliest(squares, own, other)[:, None] * own + other
         return np.asarray((residuals**2 / total + np.log(total)).sum(axis=-1))
+
+
+LEAST_FACTOR: Final = 0.01
+"""Least factor on stated errors that a fit finds: where parameters go through all data, none is."""
+
+
+def likeliest(squares: Array, errors: Array, others: Array, lost: float = 0.0) -> Array:
+    """Return the square of the factor on errors that makes residuals likeliest, (k,).
+
+    - ``squares``, (k, n): of residuals
+    - ``errors``, (n,): variances on which the square of the factor acts
+    - ``others``, (k, n): variances on which it does not
+    - ``lost``: degrees of freedom that parameters of a fit have taken from the residuals
+
+    It is between the squares of :data:`LEAST_FACTOR` and its inverse.
+    """
+    low = np.full(len(squares), 2.0 * math.log(LEAST_FACTOR))
+    high = -low
+    share = 1.0 - lost / squares.shape[1]
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        factor = np.exp(middle)[:, None]
+        total = factor * errors + others
+        part = factor * errors / total
+        above = (part * (squares / total - share)).sum(axis=1) > 0.0
+        low, high = np.where(above, middle, low), np.where(above, high, middle)
+    return np.asarray(np.exp(0.5 * (low + high)))
 
 
 def _of_specimens(data: Sequence[Datum]) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import DataError
-from multicell.tables.columns import Table, field_text, read_object
+from multicell.tables.columns import Table, field_text, read_object, refuse_twins
 from multicell.tables.forms import FORM
 from multicell.tables.mapping import (
     ColumnMap,
@@ -26,7 +26,7 @@ from multicell.tables.mapping import (
 from multicell.tables.sheets import ZIP, sheet_rows
 from multicell.tables.text import Row, lines_above, read_bytes, rows_of, text_form
 from multicell.tables.titles import split_title
-from multicell.units import unit_factor
+from multicell.units import unit_factor, whole_number
 
 MAX_BYTES: Final = 10_000_000  # of a file of measured data
 _ELAPSED: Final = ("Date Time", "Elapsed")
@@ -92,8 +92,8 @@ def _without_index(table: Table) -> Table:
     kept = []
     for place, title in enumerate(table.titles):
         fields = [row[place] for row in table.rows]
-        numbers = all(field.isdecimal() for field in fields) and [int(field) for field in fields]
-        counts = numbers and all(b == a + 1 for a, b in pairwise(numbers))
+        numbers = [number for field in fields if (number := whole_number(field)) is not None]
+        counts = len(numbers) == len(fields) and all(b == a + 1 for a, b in pairwise(numbers))
         if title or not (counts or not any(fields)):
             kept.append(place)
     return table if len(kept) == len(table.titles) else _some_columns(table, kept)
@@ -109,9 +109,7 @@ def _some_columns(table: Table, places: Sequence[int]) -> Table:
 
 def _columns(table: Table) -> dict[str, NDArray[Any]]:
     """Return the columns of a table as text."""
-    for title in table.titles:
-        if table.titles.count(title) > 1:
-            raise DataError(f"{table.name}, '{title}'", "is the title of two columns")
+    refuse_twins(table.titles, table.name)
     fields = np.array(table.rows, dtype=object).reshape(len(table.rows), len(table.titles))
     return {title: fields[:, k] for k, title in enumerate(table.titles)}
 

@@ -48,14 +48,14 @@ class BrownianPaths:
         self._seed, self._dimensions = seed, dimensions
         self._span = math.ldexp(math.frexp(coupling_step)[0], _SPAN)
         halvings = math.ceil(math.log2(self._span / longest) - _ROUNDING)
-        self.step = math.ldexp(self._span, -min(max(halvings, 0), _DEEPEST))
+        self.dt = math.ldexp(self._span, -min(max(halvings, 0), _DEEPEST))
 
     def times(self, begin: float, end: float) -> list[float]:
         """Return the ends of the internal steps between two times, s, these included."""
-        near = _ROUNDING * self.step
-        first = math.floor((begin + near) / self.step) + 1
-        last = math.ceil((end - near) / self.step)
-        return [begin, *(k * self.step for k in range(first, last)), end]
+        near = _ROUNDING * self.dt
+        first = math.floor((begin + near) / self.dt) + 1
+        last = math.ceil((end - near) / self.dt)
+        return [begin, *(k * self.dt for k in range(first, last)), end]
 
     def moves(self, times: list[float], ids: IntArray) -> Iterator[FloatArray]:
         """Yield how cells move between one time and the next, (n, 3) µm for 1 µm²/s = 2 D."""

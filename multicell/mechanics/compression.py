@@ -1,7 +1,7 @@
 """Tissue that resists compression: a many-body energy of the volume that cells take from others.
 
 Two spheres that overlap by h share a lens of the volume π r_ij h² (the leading term, as Hertz has
-it), half of it for each. What a cell has lost, relative to its volume, is its *compression*
+it), half of it for each. The loss of a cell, relative to its volume, is its *compression*
 
     s_i = (1/V_i) [Σ_j (π/2) r_ij h_ij² + Σ_w π r_i h_iw²],
 

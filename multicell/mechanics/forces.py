@@ -12,9 +12,9 @@ gather into small arrays, evaluate the law there (which the compiler turns into 
 scatter. Gather and scatter take four pairs at a time (:class:`_Quads`). Every chunk writes to its
 own cells only, so that the serial and the parallel drivers give the same bits.
 
-``law`` are the constants of a pair law, see :mod:`multicell.contact.constants`.
-What a scene does not have is None (receptors, external forces, values of each pair's own): compiled
-code is specialised on it, and holds nothing of what is absent.
+``law`` are the constants of a pair law, see :mod:`multicell.contact.constants`. Absent parts of a
+scene are None (receptors, external forces, values of each pair's own): compiled code is specialised
+on that, and holds nothing of them.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class CellData(NamedTuple):
 class PairData(NamedTuple):
     """The neighbour list, and what a law keeps for each pair (None where all are alike).
 
-    ``sticky`` is √(6πσ_ij), ``unit`` (2, m) the law's unit of overlap and its rate, µm and
+    ``adhesion`` is √(6πσ_ij), ``unit`` (2, m) the law's unit of overlap and its rate, µm and
     µm/s, ``onset`` the overlap in that unit from which there is contact (-3 or 0 for exact JKR).
     ``period``, (2, 3), are the lengths in µm after which space repeats along x, y, z, and their
     inverses, both zero where it does not; None where it nowhere does.
@@ -70,7 +70,7 @@ class PairData(NamedTuple):
     start: NDArray[np.int64]
     inner_end: NDArray[np.int64]
     outer_end: NDArray[np.int64]
-    sticky: NDArray[np.float64] | None
+    adhesion: NDArray[np.float64] | None
     unit: NDArray[np.float64] | None
     onset: NDArray[np.float64] | None
     period: NDArray[np.float64] | None = None
@@ -359,7 +359,7 @@ def _evaluate(pairs, law, elapsed, begin, count, block, slope):
             modulus,
             radius,
             block[_TOTAL, p],
-            _at(pairs.sticky, begin + p, law.adhesion_constant),
+            _at(pairs.adhesion, begin + p, law.adhesion_constant),
             _unit_at(pairs.unit, begin + p, elapsed),
             _at(pairs.onset, begin + p, 0.0),
             slope,
@@ -481,7 +481,7 @@ def _energy_between(rows, i, j, pairs, p, law, elapsed):
         1.0 / (rows[i, COMPLIANCE] + rows[j, COMPLIANCE]),
         radius,
         total,
-        _at(pairs.sticky, p, law.adhesion_constant),
+        _at(pairs.adhesion, p, law.adhesion_constant),
         _unit_at(pairs.unit, p, elapsed),
         _at(pairs.onset, p, 0.0),
         True,
@@ -575,7 +575,7 @@ def _attraction(rows, i, j, pairs, p, law, elapsed, overlap):
         1.0 / (rows[i, COMPLIANCE] + rows[j, COMPLIANCE]),
         radius,
         total,
-        _at(pairs.sticky, p, law.adhesion_constant),
+        _at(pairs.adhesion, p, law.adhesion_constant),
         _unit_at(pairs.unit, p, elapsed),
         _at(pairs.onset, p, 0.0),
         None,
@@ -616,11 +616,11 @@ def pairs_about_to_touch(pairs, rows, elapsed, horizon, places):
 
 @njit(**KERNEL)
 def missed_contact(
-    cells, pairs, law, rows, places, before, after, speed, end_speed, elapsed, step, way, tolerance
+    cells, pairs, law, rows, places, before, after, speed, end_speed, elapsed, dt, way, tolerance
 ):
     """Return the part of a step to be taken where it misses a contact that forms in it, else 1.
 
-    Cells go from ``before`` to ``after`` in ``step``, with the velocities ``speed`` and
+    Cells go from ``before`` to ``after`` in ``dt``, with the velocities ``speed`` and
     ``end_speed``. Of a pair out of contact the overlap without its own force follows from them, and
     the force that sets in at contact draws the pair further. It is missed if it would do so by more
     than ``tolerance``, µm, beyond what the step shows. What is slow at first grows fast: the force
@@ -647,11 +647,11 @@ def missed_contact(
         dz -= after[j, 2] - after[i, 2]
         dx, dy, dz = nearest_image(pairs.period, dx, dy, dz)
         closer = 2.0 * math.sqrt(dx * dx + dy * dy + dz * dz) + tolerance
-        closer += (cells.radius_rate[i] + cells.radius_rate[j]) * step
+        closer += (cells.radius_rate[i] + cells.radius_rate[j]) * dt
         if math.sqrt(square) - reach > closer:
             continue
         taken = _part_taken(
-            cells, pairs, p, law, rows, before, after, speed, end_speed, elapsed, step, tolerance
+            cells, pairs, p, law, rows, before, after, speed, end_speed, elapsed, dt, tolerance
         )
         part = min(part, taken)
     return part
@@ -659,13 +659,13 @@ def missed_contact(
 
 @njit(**ADDRESSED)
 def missed_among_all(
-    cells, pairs, law, rows, before, after, speed, end_speed, elapsed, step, moved, tolerance
+    cells, pairs, law, rows, before, after, speed, end_speed, elapsed, dt, moved, tolerance
 ):
     """Do what :func:`missed_contact` does with all pairs; cells move by ``moved`` of a radius."""
     largest, growth = 0.0, 0.0
     for i in range(cells.radius.size):
         largest, growth = max(largest, rows[i, RADIUS]), max(growth, abs(cells.radius_rate[i]))
-    way = 2.0 * (moved * largest + growth * step)
+    way = 2.0 * (moved * largest + growth * dt)
     places = np.empty(pairs.first.size, dtype=np.int64)
     count = pairs_about_to_touch(pairs, rows, elapsed, way, places)
     return missed_contact(
@@ -679,7 +679,7 @@ def missed_among_all(
         speed,
         end_speed,
         elapsed,
-        step,
+        dt,
         way,
         tolerance,
     )
@@ -687,7 +687,7 @@ def missed_among_all(
 
 @njit(**INLINED)
 def _part_taken(
-    cells, pairs, p, law, rows, before, after, speed, end_speed, elapsed, step, tolerance
+    cells, pairs, p, law, rows, before, after, speed, end_speed, elapsed, dt, tolerance
 ):
     """Return the part of a step until the contact of one pair is missed, else 1."""
     i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
@@ -697,9 +697,9 @@ def _part_taken(
     gap, narrowing = _approach(before, speed, i, j, growth, pairs.period)
     gap -= reach - begin
     end, end_narrowing = _approach(after, end_speed, i, j, growth, pairs.period)
-    end -= reach + growth * step - begin
-    dip = 0.15 * step * (max(narrowing, 0.0) + max(-end_narrowing, 0.0))
-    nearest = min(min(gap, end) - dip, gap - step * max(narrowing, end_narrowing))
+    end -= reach + growth * dt - begin
+    dip = 0.15 * dt * (max(narrowing, 0.0) + max(-end_narrowing, 0.0))
+    nearest = min(min(gap, end) - dip, gap - dt * max(narrowing, end_narrowing))
     if nearest >= 0.0:
         return 1.0
     mobility = (1.0 / rows[i, RADIUS] + 1.0 / rows[j, RADIUS]) / law.medium_drag
@@ -710,19 +710,19 @@ def _part_taken(
     for k in range(_PARTS):
         s = (k + 0.5) / _PARTS
         a, b = 1.0 - s, s * (1.0 - s)
-        free = step * b * (a * narrowing - s * end_narrowing)
+        free = dt * b * (a * narrowing - s * end_narrowing)
         free -= a * a * (1.0 + 2.0 * s) * gap + s * s * (3.0 - 2.0 * s) * end
         # the speed at the end of a contact is also that of its own force
         change = 0.0 if end < 0.0 else end_narrowing - narrowing
-        free = max(free, step * s * (narrowing + 0.5 * s * change) - gap)
+        free = max(free, dt * s * (narrowing + 0.5 * s * change) - gap)
         if free + drawn <= 0.0:
             continue
         overlap = begin + max(free + drawn, least)
         pull = _attraction(rows, i, j, pairs, p, law, elapsed, overlap) - afar
-        drawn += step / _PARTS * mobility * max(pull, 0.0)
+        drawn += dt / _PARTS * mobility * max(pull, 0.0)
         if drawn > 0.5 * tolerance and enough == 1.0:
             enough = s
-    shown = 0.0 if end >= 0.0 else max(-end - max(step * narrowing - gap, 0.0), 0.0)
+    shown = 0.0 if end >= 0.0 else max(-end - max(dt * narrowing - gap, 0.0), 0.0)
     return enough if drawn - shown > tolerance else 1.0
 
 

@@ -276,9 +276,9 @@ def _conjugate_gradients(gamma, force, tolerance, most, warm, work, part, x):
         _begin_chunk(c, gamma, force, work, part)
     rho, rr, ff = _sum(part, 0), _sum(part, 1), _sum(part, 2)
     alpha, beta = 1.0, 0.0
-    step = 0
+    iteration = 0
     # written so that a number that is not one ends the loop
-    while rr > tolerance * tolerance * ff and step < most and ff > 0.0:
+    while rr > tolerance * tolerance * ff and iteration < most and ff > 0.0:
         for c in prange(gamma.start.size):
             part[c, 0] = _apply_chunk(c, gamma, work.u, work.w)
         alpha = rho / (_sum(part, 0) - beta * rho / alpha)
@@ -287,8 +287,8 @@ def _conjugate_gradients(gamma, force, tolerance, most, warm, work, part, x):
             _advance_chunk(c, gamma, alpha, beta, work, x, part)
         rho, rr = _sum(part, 0), _sum(part, 1)
         beta = rho / old
-        step += 1
-    return step, rr, ff
+        iteration += 1
+    return iteration, rr, ff
 
 
 measure, measure_parallel = two_drivers(_measure)
@@ -397,6 +397,9 @@ class FrictionMatrix:
         if not warm:
             velocity[:] = 0.0
             self._work.w[:] = 0.0
+        elif not force[:, 2].any():
+            # cells of a plane stay in it, whatever a guess from beside it left within the tolerance
+            velocity[:, 2] = 0.0
         run: Any = conjugate_gradients_parallel if self._shared else conjugate_gradients
         steps, left, scale = run(
             gamma,

@@ -100,11 +100,11 @@ def sparse_jacobian(system: Mechanics, linear: Linearisation | None = None) -> A
     own = -np.stack([np.bincount(i, six[:, k], n) for k in range(6)], axis=1).astype(float)
     if linear.walls.size:
         own[:, : linear.walls.shape[1]] -= mobility[:, None] * linear.walls
-    cells, step = np.arange(n), np.arange(3)
+    cells, axes = np.arange(n), np.arange(3)
     square = np.concatenate([six, own])[:, _SQUARE]
     i, j = np.concatenate([i, cells]), np.concatenate([j, cells])
-    row = np.broadcast_to(3 * i[:, None, None] + step[:, None], square.shape).ravel()
-    column = np.broadcast_to(3 * j[:, None, None] + step, square.shape).ravel()
+    row = np.broadcast_to(3 * i[:, None, None] + axes[:, None], square.shape).ravel()
+    column = np.broadcast_to(3 * j[:, None, None] + axes, square.shape).ravel()
     values = square.ravel()
     if linear.coupling is not None:
         change = _coupled(linear, mobility)

@@ -22,7 +22,7 @@ class StateRejected(Exception):  # noqa: N818 - what happened to a trial state, 
 
 @dataclass
 class Work:
-    """Counts of what an integration has cost; methods may add counts of their own."""
+    """Counts of the cost of an integration; methods may add counts of their own."""
 
     evaluations: int = 0
     linearisations: int = 0
@@ -40,7 +40,7 @@ class Work:
 
     @property
     def effort(self) -> int:
-        """Number of passes over all cells: what a step costs, in evaluations."""
+        """Number of passes over all cells: the cost of a step, in evaluations."""
         return (
             self.evaluations
             + self.linearisations

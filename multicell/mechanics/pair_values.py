@@ -32,16 +32,17 @@ def pair_data(
     if not has_pair_values(law, motion, surface_energies):
         return PairData(*pairs.arrays, None, None, None)
     first, second = listed(pairs)
-    sticky = None
+    adhesion = None
     if surface_energies is not None and motion.kind is not None:
         table = law.adhesion_of(surface_energies)
-        sticky = np.ascontiguousarray(table[motion.kind[first], motion.kind[second]])
+        adhesion = np.ascontiguousarray(table[motion.kind[first], motion.kind[second]])
     if not law.remembers:
-        return PairData(*pairs.arrays, sticky, None, None)
-    adhesion = law.adhesion if sticky is None else sticky
+        return PairData(*pairs.arrays, adhesion, None, None)
     modulus = 1.0 / (compliance[first] + compliance[second])
-    unit, onset = _memory(law, motion, adhesion, modulus, first, second)
-    return PairData(*pairs.arrays, sticky, unit, onset)
+    unit, onset = _memory(
+        law, motion, law.adhesion if adhesion is None else adhesion, modulus, first, second
+    )
+    return PairData(*pairs.arrays, adhesion, unit, onset)
 
 
 def _memory(

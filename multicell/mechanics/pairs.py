@@ -1,9 +1,8 @@
 """The pair laws as the kernels call them: chosen by the type of a law's constants.
 
 :func:`evaluate_pair` stands for the function of any law. Where numba meets it, the type of the
-constants says which function is compiled in its place, and that is inlined: what the caller does
-not use of force, stiffness and energy costs nothing, and laws that a scene does not use are not
-compiled.
+constants says which function is compiled in its place, and that is inlined: unused results among
+force, stiffness and energy cost nothing, and laws that a scene does not use are not compiled.
 """
 
 from __future__ import annotations

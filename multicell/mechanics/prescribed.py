@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 from numpy.typing import NDArray
 
+from multicell.mechanics.rows import RADIUS
+
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.mechanics.system import Mechanics
@@ -46,7 +48,7 @@ class Prescribed:
     def weighed(self, rows: FloatArray) -> FloatArray:
         """Return a copy of rows in which the radius, of which drag is a multiple, is immense."""
         found = rows.copy()
-        found[self.held, 3] *= _IMMENSE
+        found[self.held, RADIUS] *= _IMMENSE
         return found
 
 

@@ -73,13 +73,13 @@ class Sphere:
                 low = guess
             else:
                 high = guess
-            step = guess + excess / bend
-            if not low <= step <= high:
-                step = 0.5 * (low + high)
+            better = guess + excess / bend
+            if not low <= better <= high:
+                better = 0.5 * (low + high)
             # once more at the solution, for the bend
-            if abs(step - guess) <= 2e-16 * guess:
+            if abs(better - guess) <= 2e-16 * guess:
                 break
-            guess = step
+            guess = better
         self.radius, self._bend = guess, bend
 
     def _excess(
@@ -139,7 +139,7 @@ class Sphere:
     def yielding(
         self, rows: FloatArray, add_pressures: Callable[[FloatArray], None] | None
     ) -> FloatArray | None:
-        """Return c/√b of a gel, (n, 3); ``add_pressures`` adds what compressed tissue has of c."""
+        """Return c/√b of a gel, (n, 3); ``add_pressures`` adds that of compressed tissue."""
         if self.shear is None:
             return None
         out = np.zeros((len(rows), 3))

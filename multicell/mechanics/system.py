@@ -200,7 +200,7 @@ class Mechanics:
         """Return half of the distances within which cells matter to each other, (n,) µm."""
         if len(radius) == 0:
             return radius
-        law, softest = self.law, 0.5 / float(self._rows[:, 4].max())
+        law, softest = self.law, 0.5 / float(self._rows[:, COMPLIANCE].max())
         if self.surface_energies is not None:
             law = law.with_surface_energy(float(self.surface_energies.max()))
         return law.list_radius(radius, softest)

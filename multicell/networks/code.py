@@ -29,7 +29,7 @@ _type, __getattr__ = stand_in_types(__name__, "Network_", lambda name: ())
 
 @final
 class Addresses(NamedTuple):
-    """Where the functions of a network are; 0 for what it does not have.
+    """Where the functions of a network are; 0 for absent ones.
 
     - ``triggers``, ``assigns``, (events,): those of its events
     """
@@ -72,7 +72,7 @@ def _four(code, t, y, u, p):
 
 
 def assign_part(code, t, y, u, p, y_then, p_then):
-    """Stand for what an event does, which is selected by the type of ``code``."""
+    """Stand for the effect of an event, which is selected by the type of ``code``."""
     raise NotImplementedError
 
 

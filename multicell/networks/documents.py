@@ -1,6 +1,6 @@
 """SBML as it is written: whether it can be read at all, before any library touches it.
 
-Libraries convert what they read, and lose on the way what they do not know. So the document is
+Libraries convert documents, and lose unknown parts on the way. So the document is
 searched as text for what would change its meaning: fast reactions, delays, algebraic rules,
 priorities, models made of others, and packages that it cannot be understood without. What is large
 or deep beyond any use is refused as well: libraries recurse.

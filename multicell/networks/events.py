@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray, IntArray
-from multicell.compiling import INNER, typed
+from multicell.compiling import INNER, UNCOUNTED, typed
 from multicell.networks.kernels import call_assign, call_trigger, set_inputs
 from multicell.networks.network import Network
 
-_inner = typed(**INNER)
+_inner = typed(**UNCOUNTED)
 
 MAX_CASCADE = (
     1000  # rounds of events at one time; events that set off each other for ever have more
@@ -66,7 +66,7 @@ def _order(network: Network) -> NDArray[np.int64]:
     return np.argsort(np.array(urgency), kind="stable").astype(np.int64)
 
 
-@_inner
+@typed(**INNER)
 def event_memory(events, states, parameters):
     """Return memory for a thread."""
     return EventMemory(

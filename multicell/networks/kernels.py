@@ -13,10 +13,10 @@ import numpy as np
 from numba import types
 
 from multicell.cells import FloatArray, IntArray
-from multicell.compiling import INNER, called_at, typed
+from multicell.compiling import INNER, UNCOUNTED, called_at, typed
 from multicell.networks.methods import Explicit, LinearlyImplicit
 
-_inner = typed(**INNER)
+_inner = typed(**UNCOUNTED)
 call_rates = called_at(5, lambda *_: types.float64)
 call_trigger = called_at(4, lambda *_: types.float64)
 call_assign = called_at(6, lambda *_: types.float64)
@@ -49,7 +49,7 @@ class Surrounding(NamedTuple):
 
     - ``before``, ``after``, (m,): inputs at both ends; ``p``, (q,): its parameters
     - ``growth``: d ln(volume)/dt
-    - ``start``, ``span``: of the step, in the network's own unit of time
+    - ``start``, ``span``: of the step, in the network's own unit of time; ``rate``: 1 / span
     """
 
     before: FloatArray
@@ -58,6 +58,7 @@ class Surrounding(NamedTuple):
     growth: float
     start: float
     span: float
+    rate: float
 
 
 @final
@@ -76,7 +77,7 @@ class Scratch(NamedTuple):
     calls: IntArray
 
 
-@_inner
+@typed(**INNER)
 def scratch_of(states, inputs, stages):
     """Return memory for a thread."""
     return Scratch(
@@ -96,7 +97,7 @@ def scratch_of(states, inputs, stages):
 @_inner
 def set_inputs(here, t, u):
     """Write the inputs at a time to ``u``."""
-    part = (t - here.start) / here.span if here.span > 0.0 else 0.0
+    part = (t - here.start) * here.rate
     for k in range(u.size):
         u[k] = here.before[k] + part * (here.after[k] - here.before[k])
 
@@ -113,7 +114,11 @@ def evaluate_network(common, here, t, y, u, out):
 
 @_inner
 def set_jacobian(common, here, t, y, s):
-    """Write df/dy by differences to ``s.jacobian``; ``s.f`` has the rates at ``y``."""
+    """Write df/dy by differences to ``s.jacobian``; ``s.f`` has the rates at ``y``.
+
+    Row j has the derivatives by state j: they are written one after another, and a processor waits
+    where it reads several numbers at once that were written apart a moment before.
+    """
     n = y.size
     s.calls[0] += n
     for j in range(n):
@@ -121,16 +126,19 @@ def set_jacobian(common, here, t, y, s):
     for j in range(n):
         typical = max(abs(y[j]), common.absolute[j] / common.relative)
         s.point[j] = y[j] + _ROUNDING * typical
-        width = s.point[j] - y[j]
+        inverse = 1.0 / (s.point[j] - y[j])
         evaluate_network(common, here, t, s.point, s.u, s.slope)
         for i in range(n):
-            s.jacobian[i, j] = (s.slope[i] - s.f[i]) / width
+            s.jacobian[j, i] = (s.slope[i] - s.f[i]) * inverse
         s.point[j] = y[j]
 
 
 @_inner
 def factorise(a, pivot):
-    """Replace a matrix by its factors L and U with row pivots; return whether it is regular."""
+    """Replace a matrix by its factors L and U with row pivots; return whether it is regular.
+
+    The diagonal of U is there by its reciprocals, which each solution would divide by anew.
+    """
     n = pivot.size
     for k in range(n):
         best, place = abs(a[k, k]), k
@@ -144,6 +152,7 @@ def factorise(a, pivot):
             for j in range(n):
                 a[k, j], a[place, j] = a[place, j], a[k, j]
         inverse = 1.0 / a[k, k]
+        a[k, k] = inverse
         for i in range(k + 1, n):
             share = a[i, k] * inverse
             a[i, k] = share
@@ -158,14 +167,18 @@ def solve(a, pivot, b):
     """Overwrite ``b`` with the solution of A x = b, A as :func:`factorise` leaves it."""
     n = pivot.size
     for k in range(n):
-        b[k], b[pivot[k]] = b[pivot[k]], b[k]
+        if pivot[k] != k:
+            b[k], b[pivot[k]] = b[pivot[k]], b[k]
     for i in range(1, n):
+        value = b[i]
         for j in range(i):
-            b[i] -= a[i, j] * b[j]
+            value -= a[i, j] * b[j]
+        b[i] = value
     for i in range(n - 1, -1, -1):
+        value = b[i]
         for j in range(i + 1, n):
-            b[i] -= a[i, j] * b[j]
-        b[i] /= a[i, i]
+            value -= a[i, j] * b[j]
+        b[i] = value * a[i, i]
 
 
 @_inner
@@ -187,52 +200,59 @@ def take_implicit(common, here, table: LinearlyImplicit, t, h, y, s, fresh):
 
     ``s.f`` has the rates at ``y``, ``s.jacobian`` their derivative unless it is to be made afresh.
     """
-    n, gamma = y.size, table.gamma[0]
+    n, per_step = y.size, 1.0 / h
     if fresh:
         set_jacobian(common, here, t, y, s)
+    diagonal = per_step / table.gamma[0]
     for i in range(n):
         for j in range(n):
-            s.matrix[i, j] = -s.jacobian[i, j]
-        s.matrix[i, i] += 1.0 / (gamma * h)
+            s.matrix[i, j] = -s.jacobian[j, i]
+        s.matrix[i, i] += diagonal
     if not factorise(s.matrix, s.pivot):
         return math.inf
     # by difference: time is in the inputs, and may be in the rates
-    width = max(1e-6 * h, 1e-12 * abs(t))
-    late = t + width
+    late = t + max(1e-6 * h, 1e-12 * abs(t))
     evaluate_network(common, here, late, y, s.u, s.slope)
     s.calls[0] += 1
+    part = h / (late - t)
     for i in range(n):
-        s.slope[i] = (s.slope[i] - s.f[i]) / (late - t)
-    for stage in range(table.m.size):
+        s.slope[i] = (s.slope[i] - s.f[i]) * part
+    stages = table.alpha.size
+    for stage in range(stages):
         k = s.stages[stage]
-        for i in range(n):
-            s.point[i] = y[i]
-        moved = stage == 0
-        for other in range(stage):
-            a = table.a[stage, other]
-            if a != 0.0:
-                moved = True
-                for i in range(n):
-                    s.point[i] += a * s.stages[other, i]
+        moved = _stage_point(table, stage, y, s)
         if stage == 0 or (not moved and table.alpha[stage] == 0.0):
             for i in range(n):
                 k[i] = s.f[i]
         else:
             evaluate_network(common, here, t + table.alpha[stage] * h, s.point, s.u, k)
             s.calls[0] += 1
-        for other in range(stage):
-            c = table.c[stage, other] / h
-            for i in range(n):
-                k[i] += c * s.stages[other, i]
+        gamma = table.gamma[stage]
         for i in range(n):
-            k[i] += table.gamma[stage] * h * s.slope[i]
+            before = 0.0
+            for other in range(stage):
+                before += table.c[stage, other] * s.stages[other, i]
+            k[i] += per_step * before + gamma * s.slope[i]
         solve(s.matrix, s.pivot, k)
+    # stiffly accurate: the last increment is what the embedded method, where it began, is off by
+    error = s.stages[stages - 1]
     for i in range(n):
-        s.trial[i], s.point[i] = y[i], 0.0
-        for stage in range(table.m.size):
-            s.trial[i] += table.m[stage] * s.stages[stage, i]
-            s.point[i] += table.e[stage] * s.stages[stage, i]
-    return size_of_error(common, y, s.trial, s.point)
+        s.trial[i] = s.point[i] + error[i]
+    return size_of_error(common, y, s.trial, error)
+
+
+@_inner
+def _stage_point(table, stage, y, s):
+    """Write the state of a stage to ``s.point``; return whether it is another than ``y``."""
+    moved = False
+    for other in range(stage):
+        moved = moved or table.a[stage, other] != 0.0
+    for i in range(y.size):
+        sum_ = 0.0
+        for other in range(stage):
+            sum_ += table.a[stage, other] * s.stages[other, i]
+        s.point[i] = y[i] + sum_
+    return moved
 
 
 @_inner
@@ -248,10 +268,10 @@ def take_explicit(common, here, table: Explicit, t, h, y, s):
         s.stages[0, i] = s.f[i]
     for stage in range(1, count):
         for i in range(n):
-            before = s.point[i]
-            s.point[i] = y[i]
+            before, change = s.point[i], 0.0
             for other in range(stage):
-                s.point[i] += h * table.a[stage, other] * s.stages[other, i]
+                change += table.a[stage, other] * s.stages[other, i]
+            s.point[i] = y[i] + h * change
             s.slope[i] = s.point[i] - before
         evaluate_network(common, here, t + table.c[stage] * h, s.point, s.u, s.stages[stage])
     faster, moved = 0.0, 0.0
@@ -261,10 +281,11 @@ def take_explicit(common, here, table: Explicit, t, h, y, s):
             faster = max(faster, abs(s.stages[count - 1, i] - s.stages[count - 2, i]) / scale)
             moved = max(moved, abs(s.slope[i]) / scale)
     for i in range(n):
-        s.trial[i], s.point[i] = y[i], 0.0
+        change, error = 0.0, 0.0
         for stage in range(count):
-            s.trial[i] += h * table.b[stage] * s.stages[stage, i]
-            s.point[i] += h * table.e[stage] * s.stages[stage, i]
+            change += table.b[stage] * s.stages[stage, i]
+            error += table.e[stage] * s.stages[stage, i]
+        s.trial[i], s.point[i] = y[i] + h * change, h * error
     stiffness = h * faster / moved if moved > 0.0 else 0.0
     return size_of_error(common, y, s.trial, s.point), stiffness
 

@@ -1,7 +1,7 @@
 """The loop over cells: each cell takes its own steps through a coupling step.
 
-Every cell remembers its step, whether it goes explicitly, and what it has seen of its stiffness. So
-what a cell does depends on itself alone: any number of threads gives the same bits.
+Every cell remembers its step, whether it goes explicitly, and estimates of its stiffness. So the
+course of a cell depends on itself alone: any number of threads gives the same bits.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
-from multicell.compiling import INNER, KERNEL, typed
+from multicell.compiling import KERNEL, UNCOUNTED, typed
 from multicell.networks.events import (
     EventRules,
     any_rises,
@@ -41,7 +41,7 @@ from multicell.networks.watching import (
     stays_below,
 )
 
-_inner = typed(**INNER)
+_inner = typed(**UNCOUNTED)
 
 CELL_DONE, CELL_STALLED, CELL_OUT_OF_STEPS, CELL_NOT_FINITE, CASCADE = range(5)
 """How a cell came through a coupling step."""
@@ -394,17 +394,27 @@ def advance_cells(
 ) -> Any:
     """Bring the cells from ``begin`` to ``end`` (rows) through a coupling step."""
     states, inputs = batch.y.shape[1], batch.before.shape[1]
-    s = scratch_of(states, inputs, max(rosenbrock.m.size, explicit.b.size))
+    s = scratch_of(states, inputs, max(rosenbrock.alpha.size, explicit.b.size))
     events = event_memory(rules.triggers.size, states, batch.p.shape[1])
-    watch, seen = no_watch(), np.empty(common.observed)
+    seen = np.empty(common.observed)
+    _each_cell(begin, end, common, rosenbrock, explicit, rules, control, batch, s, events, seen)
+    # numba frees what is not used again
+    s.calls[0] = events.was.size + seen.size
+
+
+@_inner
+def _each_cell(begin, end, common, rosenbrock, explicit, rules, control, batch, s, events, seen):
+    watch = no_watch()
     for i in range(begin, end):
+        span = batch.span[i]
         here = Surrounding(
             batch.before[i],
             batch.after[i],
             batch.p[i],
             batch.growth[i],
             batch.start[i],
-            batch.span[i],
+            span,
+            1.0 / span if span > 0.0 else 0.0,
         )
         if batch.waiting.shape[0] > 0:
             place, sign, level, since = batch.waiting[i]

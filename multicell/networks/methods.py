@@ -2,8 +2,11 @@
 
 Rosenbrock methods are in the form without products of the Jacobian with vectors,
 
-    (I / (γh) - J) k_i = f(t + α_i h, y + Σ a_ij k_j) + Σ c_ij k_j / h + γ_i h ∂f/∂t,
-    y' = y + Σ m_i k_i,   error = Σ e_i k_i.
+    (I / (γh) - J) k_i = f(t + α_i h, y + Σ a_ij k_j) + Σ c_ij k_j / h + γ_i h ∂f/∂t.
+
+All are stiffly accurate: the last of s stages begins at the result of the embedded method, and so
+
+    y' = y + Σ a_sj k_j + k_s,   error = k_s.
 
 References
 ----------
@@ -30,8 +33,6 @@ class LinearlyImplicit(NamedTuple):
 
     a: FloatArray
     c: FloatArray
-    m: FloatArray
-    e: FloatArray
     alpha: FloatArray
     gamma: FloatArray
     order: float
@@ -67,8 +68,6 @@ def _explicit(
 RODAS3: Final = LinearlyImplicit(
     _lower([[0.0], [2.0, 0.0], [2.0, 0.0, 1.0]]),
     _lower([[4.0], [1.0, -1.0], [1.0, -1.0, -8.0 / 3.0]]),
-    np.array([2.0, 0.0, 1.0, 1.0]),
-    np.array([0.0, 0.0, 0.0, 1.0]),
     np.array([0.0, 0.0, 1.0, 1.0]),
     np.array([0.5, 1.5, 0.0, 0.0]),
     3.0,
@@ -93,8 +92,6 @@ RODAS4: Final = LinearlyImplicit(
         [8.083246795921522, -7.981132988064893, -31.52159432874371, 16.31930543123136,
          -6.058818238834054],
     ]),
-    np.array([*_LAST, 1.0, 1.0]),
-    np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
     np.array([0.0, 0.386, 0.21, 0.63, 1.0, 1.0]),
     np.array([0.25, -0.1043, 0.1035, -0.0362, 0.0, 0.0]),
     4.0,

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple, final
 
-from multicell.compiling import INNER, typed
+from multicell.compiling import UNCOUNTED, typed
 from multicell.networks.kernels import call_rates, set_inputs
 
-_inner = typed(**INNER)
+_inner = typed(**UNCOUNTED)
 
 LOOKS = 4
 """Parts of a step in which passages and events are looked for."""

@@ -104,8 +104,8 @@ class Ledger:
       what the old took along
     - ``spoiled``: what decayed in it
     - ``changes``: how many changes of the medium have been done
-    - ``made``, ``used``, float or None: by reactions with other fields, what they make of it and
-      take from it at each place; None where there are none
+    - ``made``, ``used``, float or None: gain and loss by reactions with other fields at each place;
+      None where there are none
     - ``released``, float or None: at once, as the scene states; None where nothing was
     """
 
@@ -170,7 +170,7 @@ class Ledger:
         self.stored += amount
 
     def fill(self, content: float) -> None:
-        """Note what the field holds, amol."""
+        """Note the content of the field, amol."""
         self.content = max(self.content, content)
 
     def _changes(self) -> list[float]:

@@ -39,9 +39,9 @@ _POINT = 0.01
 """Radius over the spacing below which a cell is a point: as near as 2e-5 squared spacings."""
 
 _PER_RADIUS = 1.8
-"""Boxes along an axis for each spacing that a radius is long: what they miss of the potential of a
-ball, 0.14 over their number squared, is a tenth of what the spacing makes, 0.42 squared spacings
-over the squared radius."""
+"""Boxes along an axis for each spacing that a radius is long: their error in the potential of a
+ball, 0.14 over their number squared, is a tenth of that by the spacing, 0.42 squared spacings over
+the squared radius."""
 
 _ONE = 1.6
 """Radius over the spacing up to which one box makes a ball."""
@@ -225,12 +225,12 @@ def _rows_of(context: Any, builder: Any, signature: Any, given: Any) -> tuple[li
     nodes, the first, distance of rows, a factor, four weights of rows and four along them. Return
     pointers to the rows with the factor times their weights, and the weights along them.
     """
-    nodes, first, step, factor, rows, along = given
+    nodes, first, stride, factor, rows, along = given
     data = context.make_array(signature.args[0])(context, builder, nodes).data
     vector, found, number = _FOUR(ir.Undefined), [], ir.IntType(32)
     for k in range(4):
         vector = builder.insert_element(vector, builder.extract_value(along, k), number(k))
-        place = builder.add(first, builder.mul(step, ir.IntType(64)(k)))
+        place = builder.add(first, builder.mul(stride, ir.IntType(64)(k)))
         pointer = builder.bitcast(builder.gep(data, [place]), _FOUR.as_pointer())
         weight = builder.fmul(factor, builder.extract_value(rows, k))
         one = builder.insert_element(_FOUR(ir.Undefined), weight, number(0))
@@ -243,7 +243,7 @@ _GIVEN = (types.intp, types.intp, types.float64, *[types.UniTuple(types.float64,
 
 
 @intrinsic
-def _add_rows(_, density, first, step, amount, rows, along):
+def _add_rows(_, density, first, stride, amount, rows, along):
     def code(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         lines, vector = _rows_of(context, builder, signature, given)
         for pointer, weight in lines:
@@ -255,7 +255,7 @@ def _add_rows(_, density, first, step, amount, rows, along):
 
 
 @intrinsic
-def _read_rows(_, values, first, step, factor, rows, along):
+def _read_rows(_, values, first, stride, factor, rows, along):
     def code(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         lines, vector = _rows_of(context, builder, signature, given)
         total = _FOUR([0.0] * 4)

@@ -99,11 +99,11 @@ def _lay(ends: tuple[tuple[float, float], ...], spacing: float, height: float | 
     _refuse_too_far(ends, spacing)
     longest = max(size)
     most = _fast(longest / spacing)
-    step = longest / most
-    counts = [most if s > _NEARLY * longest else _fast(s / step) for s in size]
+    edge = longest / most
+    counts = [most if s > _NEARLY * longest else _fast(s / edge) for s in size]
     _refuse_too_large(counts, size, spacing)
-    origin = [0.5 * (a + b) - 0.5 * n * step for (a, b), n in zip(ends, counts, strict=True)]
-    return _box(origin, counts, step, height)
+    origin = [0.5 * (a + b) - 0.5 * n * edge for (a, b), n in zip(ends, counts, strict=True)]
+    return _box(origin, counts, edge, height)
 
 
 def _box(
@@ -144,10 +144,10 @@ def fill(
             "Take lengths that are multiples of one spacing",
         )
     _refuse_too_large(counts, lengths.tolist(), spacing)
-    step = float((lengths / counts).max())
-    while not (lengths / step <= counts).all():  # rounding must leave no point outside
-        step = float(np.nextafter(step, np.inf))
-    return _box([float(x) for x in low], list(counts), step, height, repeats)
+    edge = float((lengths / counts).max())
+    while not (lengths / edge <= counts).all():  # rounding must leave no point outside
+        edge = float(np.nextafter(edge, np.inf))
+    return _box([float(x) for x in low], list(counts), edge, height, repeats)
 
 
 def covered_fractions(old: Box, new: Box) -> list[FloatArray]:

@@ -77,8 +77,10 @@ class Diffusion:
         self.weights: stencil.Weights = None
         if varied is not None:
             self.varied = np.ascontiguousarray(varied.reshape(self.shape), dtype=float)
+        if varied is not None or any(self._repeats):
+            found = np.ones(self.shape) if self.varied is None else self.varied
             wx, wy, wz = (
-                stencil.face_means(self.varied, axis, repeats)
+                stencil.face_means(found, axis, repeats)
                 for axis, repeats in enumerate(self._repeats)
             )
             self.weights = (wx, wy, wz)

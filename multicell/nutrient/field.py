@@ -14,6 +14,7 @@ from multicell.nutrient.grid import BoxLayout, Layout, ShellLayout
 from multicell.nutrient.tissue import Tissue, drawn_in, drawn_to_ball, reaching
 from multicell.nutrient.uptake import uptake
 from multicell.scene.formulas import formula_values
+from multicell.scene.oxygen import OXYGEN, check_dissolves
 
 if TYPE_CHECKING:
     from multicell.nutrient.balance import FieldExchange, WellMixed
@@ -178,7 +179,8 @@ class NutrientField:
     def first_values(self, layout: Layout, time: float) -> float | FloatArray:
         """Return the first values on a layout, mM: of the medium, or of a formula.
 
-        Raises NutrientFailed for values below zero or that are not finite.
+        Raises NutrientFailed for values below zero or that are not finite, SceneError for more
+        oxygen than water dissolves.
         """
         formula = self.parameters.nutrient.initial_formula
         if not formula:
@@ -191,6 +193,9 @@ class NutrientField:
             where = ", ".join(f"{x:g}" for x in places[wrong[0]])
             problem = f"initial_formula of {self.name} is {values[wrong[0]]:g} mM at ({where}) um"
             raise NutrientFailed(problem, "A concentration is finite and not below zero")
+        if self.name == OXYGEN:
+            path = f"nutrients.{self.name}.initial_formula"
+            check_dissolves(float(values.max()), self.parameters.nutrient.temperature, path)
         return values.reshape(layout.shape)
 
     def put(

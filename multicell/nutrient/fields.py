@@ -20,7 +20,6 @@ from multicell.cells import Cells, FloatArray, Mask, State, rows_before
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.balance import FieldExchange, Ledger
 from multicell.nutrient.tissue import Tissue
-from multicell.population.extents import viable_volume
 from multicell.scene.dependences import circles, followed, solving_order
 
 if TYPE_CHECKING:
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     from multicell.cells import IntArray
     from multicell.nutrient.field import NutrientField, Solution
     from multicell.nutrient.group import FieldGroup
+    from multicell.population.extents import Extent, NoExtent
     from multicell.results.frame import Field, Frame
     from multicell.scene.scene import Scene
 
@@ -101,7 +101,7 @@ class FieldSystem:
     - ``respond``: absent: cells do not respond
     - ``fluxes``: absent: no network takes up or secretes anything
 
-    - ``time``: of what the cells do now, s: rates of networks may hang on it
+    - ``time``: of the present exchange of cells, s: rates of networks may depend on it
 
     - ``fields``, name -> NutrientField
     - ``groups``, list of FieldGroup: the same in the groups that are solved for together, in the
@@ -260,8 +260,8 @@ class FieldSystem:
         networks exchange with fields, what it exchanges goes linearly from one end to the other.
         ``before`` are the cells at the beginning.
 
-        - ``follow``: fields of which, where they are transient, ``courses`` are to keep what cells
-          find on the way
+        - ``follow``: fields of which, where they are transient, ``courses`` keep the concentrations
+          at cells on the way
         - ``until``, (n,) or a number: part of the step after which cells exchange nothing with
           transient fields
         - ``ahead``: :meth:`shares` at the end as an earlier try has them; absent: those of the
@@ -293,11 +293,12 @@ class FieldSystem:
         for names in self._circles.values():  # as the fields of the last step have them
             found = {x: self.fields[x].sample(cells.position, cells.radius) for x in names}
             self.concentrations = {**self.concentrations, **found}
+        # asked for only where networks exchange with fields
+        whole = None if self._fluxes is None else np.broadcast_to(until, len(cells)) == 1.0
         for group in self.groups:
             followed = [name for name in group.names if name in follow and name in self._marched]
             seen: list[tuple[float, list[FloatArray]]] = []
             group.watch = partial(self._follow, group, seen) if followed else None
-            whole = np.broadcast_to(until, len(cells)) == 1.0
             self._advance(group, cells, tissue, begin, end, began, shares, whole)
             self._settle(group, cells, tissue, end)
             for name in followed:
@@ -363,12 +364,12 @@ class FieldSystem:
         end: float,
         began: Mapping[str, Demand],
         shares: FloatArray,
-        whole: Mask,
+        whole: Mask | None,
     ) -> None:
         """Bring fields to ``end``.
 
         - ``began``: the part of the demand that the beginning sets; ``shares``: that of the end
-        - ``whole``, (n,): which cells exchange until the end
+        - ``whole``, (n,): which cells exchange until the end; None without exchange by networks
         """
         demand = {name: self.demand(name, cells) for name in group.names}
         shells = self._on_shells(group.names[0])
@@ -383,7 +384,7 @@ class FieldSystem:
                 (one, two), (uptake, made) = began[name], demand[name]
                 product = None if made is None or two is None else two + shares * made
                 mean[name] = one + shares * uptake, product
-                if self._fluxes is not None:
+                if whole is not None:
                     first[name], mean[name] = _line(mean[name], demand[name], whole)
             found = group.advance(tissue, mean, begin=begin, end=end, first=first)
             for name, exchange in found.items():
@@ -398,7 +399,7 @@ class FieldSystem:
             self._sample(name, group, cells, demand[name][0])
 
     def find_again(self, cells: Cells) -> None:
-        """Note what cells find of the fields as they are, and take up, after some have divided."""
+        """Note concentrations and uptake of cells after some have divided."""
         self.concentrations = {
             name: field.sample(cells.position, cells.radius) for name, field in self.fields.items()
         }
@@ -421,7 +422,7 @@ class FieldSystem:
             for name in group.names:
                 field = self.fields[name]
                 if field.parameters.regime == "steady":
-                    continue  # it has been solved with what the field holds and its medium
+                    continue  # it has been solved with the content of the field and its medium
                 capacity, _ = self.demand(name, after)
                 excess = np.maximum(self.demand(name, cells)[0] - capacity, 0.0)
                 amount = late * field.uptake(cells.position, excess)
@@ -493,15 +494,14 @@ class FieldSystem:
             return {name: np.zeros((len(cells), 3)) for name in self._followed}
         return {name: self.fields[name].gradient(cells.position) for name in self._followed}
 
-    def columns(self, cells: Cells) -> dict[str, float]:
-        """Return the columns of the history: media, and uptake."""
+    def columns(self, cells: Cells, extent: Extent | NoExtent) -> dict[str, float]:
+        """Return the columns of the history: media, and uptake; ``extent`` is that of the cells."""
         media = {name: field.well_mixed for name, field in self.fields.items()}
         found = {f"medium_{name}": x.concentration for name, x in media.items() if x is not None}
         rates = {name: self._uptake_rate(name, cells) for name in self.fields}
         found |= {f"uptake_{name}": rate for name, rate in rates.items()}
         if rates and self._scene.dimensions == 3:
-            repeats = self._scene.box is not None and self._scene.box.periodic
-            rim = math.nan if repeats else viable_volume(cells)
+            rim = extent.viable_volume()
             found |= {f"rim_uptake_{name}": rate / rim for name, rate in rates.items()}
         return found
 
@@ -548,8 +548,8 @@ class FieldSystem:
     ) -> Demand:
         """Return each cell's largest uptake and its secretion, (n,) amol/s.
 
-        - ``concentrations``, ``taken``, name -> (n,), mM and amol/s: what each cell finds of all
-          fields, and takes up of those that others are made from; absent: what they do now
+        - ``concentrations``, ``taken``, name -> (n,), mM and amol/s: concentrations of all fields
+          at each cell, and uptake of those that others are made from; absent: the present ones
         """
         concentrations = self.concentrations if concentrations is None else concentrations
         taken = self._uptake if taken is None else taken
@@ -595,7 +595,7 @@ class FieldSystem:
                 factor = factor * law.factor(concentrations[other])
         given = None if self._fluxes is None else self._fluxes(name, cells, self.time)[0]
         if given is not None:
-            # the largest uptake whose part at what the cell finds is the given one
+            # the largest uptake whose part at the cell's concentration is the given one
             own = np.maximum(given, 0.0) / np.maximum(self._share(name, cells), _LEAST_SHARE)
             return np.where(np.isnan(given), capacity * factor, own)
         return np.asarray(capacity * factor)
@@ -612,7 +612,7 @@ class FieldSystem:
         return one * (level / (level + nutrient.half_saturation))
 
     def _sample(self, name: str, group: FieldGroup, cells: Cells, capacity: FloatArray) -> None:
-        """Keep what the cells find and take up of a field that its group has just solved for."""
+        """Keep concentrations and uptake of cells of a field that its group has just solved for."""
         field = self.fields[name]
         self.concentrations[name] = field.read(group.position, group.radius)
         if name in self._sources:

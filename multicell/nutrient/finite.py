@@ -57,7 +57,7 @@ evaluations: what the field's solver leaves over may be as much."""
 _PATIENCE: Final = 15  # iterations after which a looser accuracy is accepted, see above
 
 _ROUNDING: Final = 1e-12
-"""Part of what a field holds below which what its grid has enclosed anew is rounding."""
+"""Part of a field's content below which content newly enclosed by its grid is rounding."""
 
 
 def advance_finite_fields(
@@ -71,8 +71,8 @@ def advance_finite_fields(
     """Bring fields, one of them with a finite medium, from ``begin`` to ``end`` (s).
 
     Parameters as for :meth:`FieldGroup.advance`; changes of the medium up to and at ``end`` that
-    have not been done are done at their times. A steady field counts as ``relaid`` what its content
-    has changed by.
+    have not been done are done at their times. A steady field counts the change of its content as
+    ``relaid``.
     """
     exchange = _Exchange(group, tissue, demand, begin)
     group.change_demand(first, begin, end)
@@ -107,7 +107,7 @@ class _Exchange:
         volume = volume_beyond_grid(self.field.name, self.nutrient, group.layout.whole)
         amount = medium.amount - (0.0 if self.steady else float(self.relaid[self.row]))
         if abs(amount) <= _ROUNDING * float(self.before[self.row]):
-            amount = max(amount, 0.0)  # of an empty medium rounding of what the grid holds is left
+            amount = max(amount, 0.0)  # of an empty medium rounding of the grid's content is left
         if not amount >= 0.0:
             name = self.field.name
             problem = f"the grid of {name} came to enclose more than its finite medium holds"
@@ -166,7 +166,7 @@ class _Exchange:
         self.medium = replace(self.medium, decayed=self.medium.decayed + decayed)
 
     def _take(self, data: FloatArray, equation: WithMedium | AtRestWithMedium) -> None:
-        """Take over what a solver has found."""
+        """Take over the solution of a solver."""
         if isinstance(equation, AtRestWithMedium):
             self.total, self.guess = float(data[0]), equation.level
             return
@@ -192,7 +192,7 @@ class _Exchange:
 
 
 Excess = Callable[[float], tuple[float, float]]
-"""Concentration of the medium, mM -> what is there too much, and what the field holds, amol."""
+"""Concentration of the medium, mM -> excess, and content of the field, amol."""
 
 
 class _Medium:

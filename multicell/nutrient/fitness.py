@@ -144,11 +144,12 @@ def discretisation_error(
 ) -> float | None:
     """Estimate the error of a steady field at the cells that its spacing makes.
 
-    The field is solved for the cells as they are with its own spacing h and about twice that,
-    H. The scheme is of second order: the error is |c_h - c_H| / ((H/h)² - 1) (Richardson). On
-    grids that do not resolve cells what each finds of its own grows by less than that order, and
-    its error counts where it is larger (:func:`_own_error`). A quarter more is reported (Roache
-    1994): where nodes lie for a cell makes up to that. The field itself is not changed.
+    The field is solved for the cells as they are with its own spacing h and about twice that, H.
+    The scheme is of second order: the error is |c_h - c_H| / ((H/h)² - 1) (Richardson). On grids
+    that do not resolve cells the contribution of a cell to its own concentration grows by less than
+    that order, and its error counts where it is larger (:func:`_own_error`). A quarter more is
+    reported (Roache 1994): where nodes lie for a cell makes up to that. The field itself is not
+    changed.
 
     - ``field``: solved already; its last solution is the first guess
 

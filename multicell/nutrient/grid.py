@@ -221,9 +221,9 @@ class BoxLayout:
         h = self.spacing
         result = np.zeros(position.shape)
         for axis in range(self._axes):
-            step = np.zeros(3)
-            step[axis] = 0.5 * h
-            ahead, behind = (gather(position + s * step, values) for s in (1, -1))
+            offset = np.zeros(3)
+            offset[axis] = 0.5 * h
+            ahead, behind = (gather(position + s * offset, values) for s in (1, -1))
             result[:, axis] = (ahead - behind) / h
         return result
 

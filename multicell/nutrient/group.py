@@ -100,8 +100,8 @@ class FieldGroup:
         The grid is laid round the cells first. What it encloses then and did not before is the
         medium of the moment, counted as ``relaid``.
 
-        - ``first``: demand at the beginning, from which it goes linearly to ``demand``; what it
-          lacks does not change
+        - ``first``: demand at the beginning, from which it goes linearly to ``demand``; missing
+          entries do not change
         """
         if any(field.well_mixed is not None for field in self.fields.values()):
             return finite.advance_finite_fields(self, tissue, demand, begin, end, first)
@@ -184,7 +184,7 @@ class FieldGroup:
         return None if name in OWN_SOLVERS else name
 
     def _scales(self) -> FloatArray:
-        """Return the highest concentration of each field, or of what it holds, (m,) mM."""
+        """Return the highest concentration of each field, also within it, (m,) mM."""
         levels = [field.parameters.nutrient.highest for field in self.fields.values()]
         there = self.state.data.reshape(len(levels), -1).max(axis=1)
         found = np.maximum(levels, there)

@@ -210,10 +210,10 @@ def _beyond(distance: Any) -> Any:
         n = stack[filled]
         i, j, k = n // (ny * nz), n // nz % ny, n % nz
         for face in range(6):
-            step = 2 * (face % 2) - 1
-            a = i + step if face // 2 == 0 else i
-            b = j + step if face // 2 == 1 else j
-            d = k + step if face // 2 == 2 else k
+            side = 2 * (face % 2) - 1
+            a = i + side if face // 2 == 0 else i
+            b = j + side if face // 2 == 1 else j
+            d = k + side if face // 2 == 2 else k
             if 0 <= a < nx and 0 <= b < ny and 0 <= d < nz:
                 m = (a * ny + b) * nz + d
                 if flat[m] == 0 and found[m] >= 0.0:
@@ -236,10 +236,10 @@ def _exchange(distance: Any, medium: Any, flat: bool, out: Any) -> None:
                     continue
                 inside, total = -float(distance[a, b, c]), 0.0
                 for face in range(4 if flat else 6):
-                    step = 2 * (face % 2) - 1
-                    d = a + step if face // 2 == 0 else a
-                    e = b + step if face // 2 == 1 else b
-                    f = c + step if face // 2 == 2 else c
+                    side = 2 * (face % 2) - 1
+                    d = a + side if face // 2 == 0 else a
+                    e = b + side if face // 2 == 1 else b
+                    f = c + side if face // 2 == 2 else c
                     if medium[d, e, f]:
                         beyond = float(distance[d, e, f])
                         # a face of the grid is half a spacing away, and counts as that already

@@ -58,7 +58,7 @@ _SMOOTHER = tuple(
 
 
 _Axis = tuple[Float32Array, Float32Array, NDArray[np.int64], Float32Array]
-"""What a level has along an axis, see :func:`_axis`."""
+"""Coefficients of a level along an axis, see :func:`_axis`."""
 
 
 @final
@@ -219,14 +219,14 @@ class MultigridSolver:
             curvature = float(parts.sum())
             if not curvature > 0.0 or rho == 0.0:  # single precision has no smaller numbers
                 break
-            step = rho / curvature
-            level.share(kernels.update_residual_planes, np.float32(step), x, p, r, q, parts)
+            alpha = rho / curvature
+            level.share(kernels.update_residual_planes, np.float32(alpha), x, p, r, q, parts)
             self.cg += 1
             if not float(parts.sum()) > max(goal, FINEST) ** 2:
                 break
             z = self._hierarchy.cycle()
             following, change = self._products(z)
-            beta, rho = -step * change / rho, following
+            beta, rho = -alpha * change / rho, following
         self.newton += 1
         shape, scale = self.operator.shape, size / self.operator.stiffness
         if residual.dtype == np.float64:  # nor has a correction that is far below one
@@ -283,8 +283,8 @@ def _axis(n: int, low: bool, high: bool) -> tuple[_Axis, ...]:
 def _along(width: FloatArray, low: bool, high: bool) -> Float32Array:
     """Return the coefficients of minus the second difference along an axis, (4, n).
 
-    Of the lower and of the upper neighbour, and what the node has by its lower and by its upper
-    face. ``width`` (n,) are the nodes' widths.
+    Of the lower and of the upper neighbour, and of the node by its lower and by its upper face.
+    ``width`` (n,) are the nodes' widths.
     """
     table = np.zeros((4, len(width)))
     distance = 0.5 * (width[1:] + width[:-1])

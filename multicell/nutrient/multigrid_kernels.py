@@ -22,7 +22,7 @@ import numpy as np
 from multicell.compiling import INLINED, KERNEL, typed
 
 _jit = typed(**KERNEL, nogil=True)
-# calls for each row would take as long as what they do
+# a call for each row would take as long as its work
 _inline = typed(**INLINED, nogil=True)
 
 _NONE = np.float32(0.0)
@@ -278,11 +278,11 @@ def up(
     for front in range(max(begin - 2, 0), end + 2):
         if front < nx:
             _prolong(front, coarse, others, nearness, between, x, added[front % 3])
-        for step in range(2):  # written once: it is what takes long to compile
-            i, beside = front - 1 - step, 1 - step
+        for sweep in range(2):  # written once: it is what takes long to compile
+            i, beside = front - 1 - sweep, 1 - sweep
             if max(begin - beside, 0) <= i < min(end + beside, nx):
-                given, made = (added, once[i % 3]) if step == 0 else (once, out[i])
-                _relax(i, given, b, rate, along, weights, damping[step], row, diagonal, made)
+                given, made = (added, once[i % 3]) if sweep == 0 else (once, out[i])
+                _relax(i, given, b, rate, along, weights, damping[sweep], row, diagonal, made)
 
 
 @_jit
@@ -317,17 +317,17 @@ def apply_planes(
 
 @_jit
 def update_residual_planes(
-    begin: int, end: int, step: Any, x: Any, p: Any, r: Any, q: Any, parts: Any
+    begin: int, end: int, alpha: Any, x: Any, p: Any, r: Any, q: Any, parts: Any
 ) -> None:
-    """Do ``x += step p`` and ``r -= step q``; write ``r . r`` of each plane to ``parts``, (nx,)."""
+    """Do ``x += alpha p``, ``r -= alpha q``; write ``r . r`` of each plane to ``parts``, (nx,)."""
     ny, nz = x.shape[1:]
     for i in range(begin, end):
         total = np.zeros(nz)
         for j in range(ny):
             solution, along, left, change = x[i, j], p[i, j], r[i, j], q[i, j]
             for k in range(nz):
-                solution[k] += step * along[k]
-                v = left[k] - step * change[k]
+                solution[k] += alpha * along[k]
+                v = left[k] - alpha * change[k]
                 left[k] = v
                 total[k] += v * v
         parts[i] = _sum(total)
@@ -378,7 +378,7 @@ def load(
 
 
 @_jit
-def step(begin: int, end: int, c: Any, correction: Any, share: float, out: Any) -> None:
+def add_correction(begin: int, end: int, c: Any, correction: Any, share: float, out: Any) -> None:
     """Write ``c + share correction`` to ``out``; c and out are float64."""
     ny, nz = c.shape[1:]
     for i in range(begin, end):

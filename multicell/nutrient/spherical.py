@@ -111,7 +111,7 @@ class Shells:
                     c = problem.lifted(c)
                     size = float(np.abs(problem.residual(c)[0]).sum())
                 return c, problem.report(c, newton, size)
-            c, left, total = problem.step(c, left)
+            c, left, total = problem.newton_step(c, left)
         raise NutrientFailed(
             f"the steady radial field did not converge: after {newton + 1} Newton steps "
             f"{float(np.abs(left).sum()):.3g} amol/s are not accounted for",
@@ -156,7 +156,7 @@ class _Balance:
         self._slope = slope + self.linear * self.shells.volumes
         return self.shells.gain(c) + self.supply - spent, float(spent.sum())
 
-    def step(self, c: FloatArray, left: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    def newton_step(self, c: FloatArray, left: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         """Return the state after a Newton step that lowers the energy, and its imbalance."""
         correction = self.shells.solve_linear(self._slope, left)
         slope, share = float(left @ correction), 1.0

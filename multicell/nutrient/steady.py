@@ -94,8 +94,7 @@ class SolveReport(NamedTuple):
     - ``inflow``, float, amol/s: net diffusion through the faces of the box
     - ``uptake``, float, amol/s: total uptake
     - ``outflow``, float, amol/s: what leaves through the faces; ``inflow`` is net
-    - ``made``, ``used``, float, amol/s: by reactions, what they make of it and take from it at each
-      place
+    - ``made``, ``used``, float, amol/s: gain and loss by reactions at each place
     """
 
     newton: int
@@ -262,15 +261,15 @@ class _State:
         )
         self.size, self.norm = math.sqrt(squares), math.sqrt(size)
 
-    def step(self, c: FloatArray, correction: stencil.Floats, share: float) -> None:
+    def move(self, c: FloatArray, correction: stencil.Floats, share: float) -> None:
         """Become ``c`` and a share of a correction."""
         if self.problem.team is None:
             np.multiply(correction, share, out=self.c)
             self.c += c
         else:
-            from multicell.nutrient.multigrid_kernels import step
+            from multicell.nutrient.multigrid_kernels import add_correction
 
-            self.problem.team.share(step, len(c), c, correction, share, self.c)
+            self.problem.team.share(add_correction, len(c), c, correction, share, self.c)
         self.evaluate()
 
     def along(self, correction: stencil.Floats) -> float:
@@ -358,7 +357,7 @@ def _search(state: _State, trial: _State, correction: stencil.Floats) -> None:
     slope = state.along(correction)
     share = 1.0
     for _ in range(MAX_BACKTRACKS):
-        trial.step(state.c, correction, share)
+        trial.move(state.c, correction, share)
         there = trial.along(correction)
         if not there < -0.9 * slope:
             return

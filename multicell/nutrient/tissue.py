@@ -96,9 +96,9 @@ def _few(count: int) -> float:
 def _ends(position: FloatArray, few: float) -> tuple[FloatArray, FloatArray]:
     """Return the highest coordinates along each axis, rising, and the lowest, falling: (m, k)."""
     count = min(int(2.0 * few) + 1, len(position))
-    step = math.isqrt(len(position) // (6 * count))  # of a sample: what is sorted is then least
-    if step > 1:  # all that lie as far out as so many of a sample are as many or more
-        sample = np.sort(position[::step], axis=0)
+    stride = math.isqrt(len(position) // (6 * count))  # of a sample: what is sorted is then least
+    if stride > 1:  # all that lie as far out as so many of a sample are as many or more
+        sample = np.sort(position[::stride], axis=0)
         outer = np.zeros(len(position), dtype=np.bool_)
         for x, low, high in zip(position.T, sample[count - 1], sample[-count], strict=True):
             outer |= (x <= low) | (x >= high)

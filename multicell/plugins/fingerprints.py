@@ -45,7 +45,7 @@ def helpers_of(function: Callable[..., Any]) -> list[Callable[..., Any]]:
 
 def _walk(function: Any, seen: set[int], modules: bool) -> Iterator[bytes]:
     """Yield the code of a function and of all that it calls, and the values that they read."""
-    function = getattr(function, "py_func", function)  # what numba has compiled
+    function = getattr(function, "py_func", function)  # a function that numba has compiled
     if id(function) in seen:
         return
     seen.add(id(function))

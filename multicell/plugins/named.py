@@ -54,7 +54,7 @@ def load_object(spec: str, what: str) -> Any:
     """
     match = _NAMED.fullmatch(spec)
     if match is None:
-        raise SceneError(what, f"is {spec!r}, must be the form 'file.py:Name'")
+        raise SceneError(what, f"is {spec!r}, must have the form 'file.py:Name'")
     file, name = Path(match["file"]).expanduser(), match["name"]
     found: Any = _module(file, what)
     known = [key for key in vars(found) if not key.startswith("_")]

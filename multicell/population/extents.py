@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import final
+from typing import Final, final
 
 import numpy as np
 
 from multicell.cells import SPHERE, Cells, FloatArray, Mask, State
 from multicell.population.regions import Surroundings, inhibited_region, region_radius
 from multicell.vectors import cubes, lengths, squares, weighted_mean
+
+INHIBITED: Final = 0.2  # of the cycling part at the rim: the criterion of Browning et al. (2021)
 
 
 def sizes(cells: Cells, dimensions: int) -> FloatArray:
@@ -97,13 +99,21 @@ class Extent:
     @cached_property
     def inhibited(self) -> float:
         """The :func:`inhibited_radius` of the cells, µm."""
-        return self.inhibited_below(0.2)
+        return self.inhibited_below(INHIBITED)
 
     def inhibited_below(self, threshold: float) -> float:
         """Return the :func:`inhibited_radius` of the cells by a threshold, µm."""
         if not len(self._cells):
             return 0.0
         return max(inhibited_region(self._cells, self._around, threshold), self.dead_core)
+
+    def viable_volume(self) -> float:
+        """Return the volume of the ball of all cells less that of the necrotic core in µm³.
+
+        NaN without living cells.
+        """
+        volume = SPHERE * (self.radius() ** 3 - self.dead_core**3)
+        return volume if volume > 0.0 and not self._cells.dead.all() else math.nan
 
     def rim(self, core: float) -> float:
         """Return the thickness of the layer outside a core, µm; NaN without a core."""
@@ -133,6 +143,10 @@ class NoExtent:
         return math.nan
 
     diameter = packing_ratio = radius
+
+    def viable_volume(self) -> float:
+        """Return NaN."""
+        return math.nan
 
     def core(self, inside: Mask, others: float = 0.5) -> float:
         """Return NaN."""
@@ -165,17 +179,7 @@ def uniform_radius(
     return Extent(cells, dimensions, origin).radius(mask)
 
 
-def viable_volume(cells: Cells) -> float:
-    """Return the volume of the ball of all cells less that of the necrotic core in µm³.
-
-    NaN without living cells.
-    """
-    extent = Extent(cells, 3)
-    volume = SPHERE * (extent.radius() ** 3 - extent.dead_core**3)
-    return volume if volume > 0.0 and not cells.dead.all() else float("nan")
-
-
-def inhibited_radius(cells: Cells, dimensions: int, threshold: float = 0.2) -> float:
+def inhibited_radius(cells: Cells, dimensions: int, threshold: float = INHIBITED) -> float:
     """Return the radius within which proliferation is inhibited, in µm; 0 if it is nowhere.
 
     Inside, the share of the cells that are alive, not quiescent, and in S, G2 or M (green with

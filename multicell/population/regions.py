@@ -25,6 +25,7 @@ large an excess at a given centre comes by chance once in 65,000 times, 4^8."""
 _DROP: Final = 0.1  # of the excess, lost to others further out: a region of its own begins
 _ROUNDS: Final = 12  # of moving a region's centre
 _SHIFT: Final = 0.05  # of a region's radius: nearer centres differ by 0.1 % in it
+_AROUND: Final = 1.2  # radii of a region within which its cells move its centre
 _NEAREST: Final = 32  # cells of the centre that are asked for an empty region round it
 _APART: Final = math.cos(math.radians(30.0))  # of directions in which an empty region has cells
 _SURFACE: Final = 10  # cells of the surface, at least
@@ -73,8 +74,9 @@ class Surroundings:
         part = np.minimum(distance, self.size) / self.size
         return np.asarray(len(self.position) * part**self.dimensions)
 
+    @cached_property
     def may_be_hollow(self) -> bool:
-        """Return whether the nearest cells leave room for as many more as a region must have."""
+        """Whether the nearest cells leave room for as many more as a region must have."""
         nearest = min(_NEAREST, len(self.squares))
         near = np.sqrt(np.sort(np.partition(self.squares, nearest - 1)[:nearest]))
         return bool((self.expected(near) - 2.0 * np.arange(nearest) >= FEWEST).any())
@@ -116,12 +118,12 @@ def region_radius(cells: Surroundings, inside: Mask, others: float = 0.5) -> flo
     if inside.all():
         return cells.size
     few = int(inside.sum()) < FEWEST
-    if few and not cells.may_be_hollow():
+    if few and not cells.may_be_hollow:
         return 0.0
     excess, reach = _excess(cells, inside, others)
     found = cells
     for turn in range(0 if few else _ROUNDS):
-        near = inside if turn == 0 else inside & (found.squares < (1.2 * reach) ** 2)
+        near = inside if turn == 0 else inside & (found.squares < (_AROUND * reach) ** 2)
         if not near.any():
             break
         moved = cells.about(cells.position[near].mean(axis=0))

@@ -7,7 +7,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from multicell.errors import SceneError
 from multicell.report.wording import cell_count, time_unit
+from multicell.units import shown
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -19,6 +21,8 @@ Progress = Callable[["Simulation"], None]
 @contextmanager
 def progress_callback(scene: Scene, progress: Progress | bool | None) -> Iterator[Progress | None]:
     """Yield a callback for the end of coupling steps: the one given, or for True a bar's."""
+    if progress is not None and not isinstance(progress, bool) and not callable(progress):
+        raise SceneError("progress", f"is {shown(progress)}, must be a function, True or False")
     if not isinstance(progress, bool):
         yield progress
         return

@@ -122,7 +122,7 @@ def _label(key: str, path: str = "") -> str:
 
 
 def _present(entries: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return the entries that are not zero: what a run has none of needs no row."""
+    """Return the entries that are not zero: absent things need no row."""
     return {name: value for name, value in (entries or {}).items() if value != 0}
 
 

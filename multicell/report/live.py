@@ -20,6 +20,7 @@ from multicell.cells import State
 from multicell.errors import OutputError
 from multicell.population.extents import centre
 from multicell.report.colours import STATE_COLOURS, TYPE_COLOURS
+from multicell.report.letters import readable_from
 from multicell.report.wording import cell_count, time_unit
 from multicell.results.folder import LIVE, file_errors, remove, write_bytes, write_text
 from multicell.results.tables import NAMED
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 PICTURE, PAGE = LIVE
 WIDE, HIGH = 960, 600  # pixels of the picture
+_LETTERS: Final = 18  # pixels of its letters
 _FINER: Final = 2  # as many times it is drawn larger, for smooth edges
 _SHARE: Final = 0.01  # of a run's time that pictures may take
 _LEAST: Final = 2.0  # s between two of them
@@ -153,10 +155,10 @@ def _discs(pen: Any, cells: Cells, group: IntArray, colours: list[str], dimensio
 
 
 def _explain(pen: Any, words: str, palette: Mapping[str, str], scale: float) -> None:
-    """Write what is shown, a bar of a round length, and what the colours mean."""
+    """Write the title, a bar of a round length, and the meaning of colours."""
     from PIL import ImageFont
 
-    font = ImageFont.load_default(size=18)
+    font = ImageFont.load_default(size=_LETTERS)
     pen.text((20, 14), words, fill=_TEXT, font=font)
     for k, (name, colour) in enumerate(palette.items()):
         top = 54 + 28 * k
@@ -179,6 +181,7 @@ def _page(scene: Scene) -> str:
         "picture": PICTURE,
         "wide": WIDE,
         "high": HIGH,
+        "least": readable_from(_LETTERS, WIDE / 72.0),
         "tiles": {},
         "scene": "",
         "subtitle": "",

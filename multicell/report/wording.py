@@ -61,7 +61,7 @@ def measures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def diagnostics(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield name and value in words of what a summary has on accuracy and cost."""
+    """Yield name and value in words of a summary's entries on accuracy and cost."""
     amiss = (summary.get("splitting") or {}).get("relative_volume_error")
     if amiss is not None:
         yield "volume changed by coupling steps", f"about {100.0 * amiss:+.2g} %"

@@ -1,7 +1,7 @@
 """Code fields as differences from the prediction of a stencil: exact, a third of the size.
 
 Outside the cells nothing is taken up, so a steady field is harmonic there: a node follows from the
-two layers of nodes before it by the Laplacian of seven points, up to what the solver has left over
+two layers of nodes before it by the Laplacian of seven points, up to the residual of the solver
 (1e-14 of its value; a plain difference of neighbours leaves 1e-2). So a layer is predicted from the
 two before it, and what is kept is the difference of the two bit patterns, taken as integers. Inside
 the tissue the prediction is poorer, and nothing but size depends on it.
@@ -46,8 +46,8 @@ def decode(coded: Coded, faces: FloatArray) -> FloatArray:
     values = np.zeros(coded.shape, "<f8")
     for layer in range(len(values)):
         whole, sign = coded[layer] >> np.uint64(1), coded[layer] & np.uint64(1)
-        step = whole.view("<i8") ^ -sign.view("<i8")
-        values[layer] = (step + _bits(_prediction(values, layer, faces))).view("<f8")
+        difference = whole.view("<i8") ^ -sign.view("<i8")
+        values[layer] = (difference + _bits(_prediction(values, layer, faces))).view("<f8")
     return values
 
 

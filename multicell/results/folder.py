@@ -117,6 +117,20 @@ def in_use(folder: Path) -> bool:
     return False
 
 
+def refuse_results(folder: Path, *, overwrite: bool) -> list[str]:
+    """Return the names in an output folder; refuse any if they may not be overwritten."""
+    with file_errors("use the output folder", folder):
+        entries = folder.iterdir() if folder.is_dir() else ()
+        held = sorted(entry.name for entry in entries if entry.name != LOCK)
+    if held and not overwrite:
+        raise OutputError(
+            f"output folder '{folder}' is not empty (it holds {held[0]}"
+            f"{f' and {len(held) - 1} more' if len(held) > 1 else ''}). "
+            "Choose another folder, or allow overwriting (--overwrite, overwrite=True)"
+        )
+    return held
+
+
 def make_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
     """Make an output folder, or refuse one that holds something and may not be overwritten."""
     folder = Path(folder)
@@ -131,13 +145,7 @@ def make_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         for place in new:
             sync_folder(place.parent)
-        held = sorted(entry.name for entry in folder.iterdir() if entry.name != LOCK)
-    if held and not overwrite:
-        raise OutputError(
-            f"output folder '{folder}' is not empty (it holds {held[0]}"
-            f"{f' and {len(held) - 1} more' if len(held) > 1 else ''}). "
-            "Choose another folder, or allow overwriting (--overwrite, overwrite=True)"
-        )
+    held = refuse_results(folder, overwrite=overwrite)
     if held and folder.is_symlink():
         raise OutputError(
             f"output '{folder}' is a link to '{folder.readlink()}': to overwrite what is there, "

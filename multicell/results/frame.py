@@ -26,7 +26,7 @@ V = TypeVar("V")
 
 
 class Named(dict[str, V]):
-    """A dictionary of what a result holds by name, such as the columns of its history."""
+    """A dictionary of parts of a result by name, such as the columns of its history."""
 
     def __init__(self, entries: Mapping[str, V], what: str) -> None:
         super().__init__(entries)
@@ -116,7 +116,7 @@ class Progress:
     separation: Mapping[str, float] | None  # when and how the last contact broke in a pull
     ledger: Mapping[str, Mapping[str, float]]  # account of each field, amol
     rates: Mapping[str, Mapping[str, float]]  # what a steady field exchanges now, amol/s
-    work: Mapping[str, int]  # what the integration has cost
+    work: Mapping[str, int]  # cost of the integration
     grids: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # that the run chooses
     driven: Mapping[str, list[int]] = field(default_factory=dict)  # cells named by a table at first
     first_states: Mapping[str, int] = field(default_factory=dict)  # cells at rest, dead, unfit

@@ -395,8 +395,8 @@ def _open_file(path: Path, image: bytes | None = None) -> Iterator[Any]:
     """Open a file for reading and turn all that HDF5 has to say into words.
 
     Not in HDF5's mode for files that are being written: in that a damaged one is read again and
-    again for ever. Nor with locks: a file of ours is never changed, and what others do to it is
-    seen by its checksums.
+    again for ever. Nor with locks: a file of ours is never changed, and its checksums show changes
+    by others.
 
     - ``image``: all bytes, in place of those on disk
     """
@@ -466,9 +466,9 @@ def check_readable(path: Path) -> None:
                 if isinstance(entry, h5py.Group):
                     groups.append(entry)
                 elif isinstance(entry, h5py.Dataset) and entry.shape:
-                    step = max(1, _BATCH * len(entry) // max(entry.nbytes, 1))
-                    for begin in range(0, len(entry), step):
-                        entry[begin : begin + step]
+                    batch = max(1, _BATCH * len(entry) // max(entry.nbytes, 1))
+                    for begin in range(0, len(entry), batch):
+                        entry[begin : begin + batch]
 
 
 def _check_format(path: Path, file: Any) -> None:

@@ -207,7 +207,7 @@ _WIDEST: Final = 8  # axis of an array without entries, beside the one of length
 def _header(text: bytes, length: int, *, first: bool) -> dict[str, Any] | None:
     """Return the header of a record of ``length`` bytes of arrays; None if it cannot be one.
 
-    A checksum only says that a record is what somebody has written.
+    A checksum only shows that a record is as somebody wrote it.
     """
     try:
         header = json.loads(text)

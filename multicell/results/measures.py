@@ -115,6 +115,9 @@ def _over_radius(state: TissueState, length: float) -> float:
     return length / state.extent.radius() if len(state.cells) else float("nan")
 
 
+NO_CENTRE: Final = "where space repeats"
+"""When a population has no centre, and no length round it."""
+
 _length = partial(Observable, unit="um")
 _tissue_length = partial(_length, shown="{:.0f} µm".format)
 _pressure = partial(Observable, unit="kPa")
@@ -123,8 +126,8 @@ _at_end = partial(Observable, at_end=True)
 
 OBSERVABLES: Final = (
     _count("cells", lambda s: len(s.cells), shown="{:,}".format),
-    _tissue_length("diameter", lambda s: s.extent.diameter(), doc="2 R"),
-    _length("radius", lambda s: s.extent.radius(), doc="R"),
+    _tissue_length("diameter", lambda s: s.extent.diameter(), absent=NO_CENTRE, doc="2 R"),
+    _length("radius", lambda s: s.extent.radius(), absent=NO_CENTRE, doc="R"),
     _tissue_length(
         "viable_rim",
         lambda s: s.extent.rim(s.extent.dead_core),
@@ -149,6 +152,7 @@ OBSERVABLES: Final = (
     _tissue_length(
         "necrotic_radius",
         lambda s: s.extent.dead_core,
+        absent=NO_CENTRE,
         title="radius of the necrotic core",
         shown_if_zero=False,
         doc="of the [region](measured.md#regions) round the centre in which at least half of the "
@@ -164,6 +168,7 @@ OBSERVABLES: Final = (
     _tissue_length(
         "inhibited_radius",
         lambda s: s.extent.inhibited,
+        absent=NO_CENTRE,
         exists=_has_phases,
         shown_if_zero=False,
         doc="within it the part of cells in S, G2 or M is below a fifth of that in the outermost "
@@ -268,6 +273,7 @@ OBSERVABLES: Final = (
     _length(
         "hypoxic_radius_*",
         lambda s, x: s.extent.core(s.concentrations[x] < hypoxia_of(x, s.scene.nutrients)),
+        absent=NO_CENTRE,
         exists=lambda scene: [x for x in scene.nutrients if hypoxia_of(x, scene.nutrients)],
         entry="hypoxic_radius.*",
         doc="of the [region](measured.md#regions) round the centre in which at least half of the "

@@ -132,7 +132,7 @@ class Observable:
     absent
         When the number does not exist, in words; empty for one that is finite in every state.
     doc
-        What it means, for the documentation (Markdown).
+        Its meaning, for the documentation (Markdown).
     signed
         Whether it may be negative.
     shown

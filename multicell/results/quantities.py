@@ -164,7 +164,7 @@ def is_taken(name: str) -> bool:
 def known_unit(name: str) -> str:
     """Return the unit of a number, ``""`` also for a name of another version that this one lacks.
 
-    For those who read what a run has left: a run itself asks :func:`unit_of`.
+    For readers of finished runs: a run itself asks :func:`unit_of`.
     """
     try:
         return unit_of(name)

@@ -24,7 +24,7 @@ class _Place(NamedTuple):
     """A frame: when it is, its checksum, and what reads it and the new rows of the lineage."""
 
     time: float
-    step: int
+    step_index: int
     digest: int
     arrays: Callable[[], Arrays]
     log: Callable[[], Arrays]
@@ -97,8 +97,14 @@ class Contents:
         self.scene, self.nutrients, self.columns = file.scene, file.nutrients, file.columns
         known = zip(file.times, file.steps, file.digests, strict=True)
         self.places = [
-            _Place(float(time), int(step), int(check), partial(file.frame, k), partial(file.log, k))
-            for k, (time, step, check) in enumerate(known)
+            _Place(
+                float(time),
+                int(step_index),
+                int(check),
+                partial(file.frame, k),
+                partial(file.log, k),
+            )
+            for k, (time, step_index, check) in enumerate(known)
         ]
         self._rows = [_Rows(file.rows, file.history)]
 
@@ -264,8 +270,8 @@ class Frames(Sequence[Frame]):
         before = self._contents
         if (now.file and now.file.identity) == (before.file and before.file.identity):
             return False
-        known = [(place.digest, place.step) for place in self._known]
-        found = [(place.digest, place.step) for place in now.places[: len(known)]]
+        known = [(place.digest, place.step_index) for place in self._known]
+        found = [(place.digest, place.step_index) for place in now.places[: len(known)]]
         if known != found:
             raise OutputError(
                 f"the frames in '{now.folder}' are not those that were there: it holds another run"

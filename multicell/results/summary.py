@@ -15,7 +15,7 @@ from multicell.results.folder import versions
 from multicell.results.measures import scene_observables
 from multicell.results.observable import TissueState, represented
 from multicell.results.quantities import units_of
-from multicell.scene.sizes import birth_volume
+from multicell.scene.sizes import birth_volumes
 
 if TYPE_CHECKING:
     from multicell.cells import Cells
@@ -24,13 +24,12 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-def history_row(scene: Scene, frame: Frame, **found: float) -> dict[str, float]:
+def history_row(state: TissueState, **found: float) -> dict[str, float]:
     """Return one row of a run's history as floats; NaN where a number does not exist.
 
-    - ``scene``, ``frame``: the run, and its state
-    - ``**found``: further columns: what the coupling step has found
+    ``**found`` are further columns: what the coupling step has found.
     """
-    state = TissueState(frame, scene)
+    scene, frame = state.scene, state.frame
     row = {"time": frame.time, "step": float(frame.step)}
     for observable, key in scene_observables(scene):
         if observable.measure is not None:
@@ -151,7 +150,7 @@ def _start_notes(states: Mapping[str, int]) -> list[str]:
     if states.get("unfit"):
         notes.append(
             f"The states of {states['unfit']:,} cells at the start do not fit the field: resting "
-            "or dead cells lower what others find, and no states were found that fit."
+            "or dead cells lower concentrations of others, and no states were found that fit."
         )
     return notes
 
@@ -163,7 +162,7 @@ _GIANT = 1.1
 
 def _giant_notes(scene: Scene, cells: Cells) -> list[str]:
     """Return a remark on living cells that are larger than those that divide."""
-    ratio = cells.volume[~cells.dead] / (2.0 * birth_volume(scene))
+    ratio = (cells.volume / (2.0 * birth_volumes(scene, cells.kind)))[~cells.dead]
     giants = int((ratio > _GIANT).sum())
     if scene.growth is None or not giants:
         return []
@@ -184,7 +183,8 @@ def _splitting(scene: Scene, cells: Cells) -> dict[str, float]:
     volume, living = cells.volume, ~cells.dead
     scales = scene.growth.target_scales
     scale = 1.0 if scales is None else scales[cells.phase]
-    rate = scale * scene.growth.growth_law.rate(volume / scale, birth_volume(scene))
+    birth = birth_volumes(scene, cells.kind)
+    rate = scale * scene.growth.growth_law.rate(volume / scale, birth)
     rate /= cells.cycle_time
     excess = np.where(living, -rate * cells.lag, 0.0)
     total, error = float(volume.sum()), float(excess.sum())
@@ -213,7 +213,8 @@ def read_summary(contents: Contents) -> dict[str, Any] | None:
         same = summary["scene_digest"] == scene_mark(contents.scene)
     else:  # an older version has written it
         same = all(
-            (summary.get("time", end.time), summary.get("steps", end.step)) == (end.time, end.step)
+            (summary.get("time", end.time), summary.get("steps", end.step_index))
+            == (end.time, end.step_index)
             for end in contents.places[-1:]
         )
     if not same:

@@ -146,7 +146,7 @@ def frame_blocks(frame: Frame, types: Sequence[str] = ()) -> MultiBlock:
     """Return the cells of a frame as points, ``"cells"``, and its fields by name, in µm.
 
     Quantities are named with their units (``radius_um``). States, phases and types are numbers,
-    as ParaView colours by numbers; what they mean stands in ``state_names`` and so on.
+    as ParaView colours by numbers; ``state_names`` and so on give their meaning.
 
     - ``types``: names of the types by their numbers
     """

@@ -178,7 +178,7 @@ class Store:
         return store
 
     def copy(self, contents: Contents, place: int, rows: int) -> None:
-        """Begin with what another folder holds up to a frame."""
+        """Begin with the content of another folder up to a frame."""
         history = contents.history(rows)
         self._columns = tuple(history)
         self._pending = [

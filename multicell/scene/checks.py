@@ -12,7 +12,8 @@ from multicell.integrators.registry import METHODS
 from multicell.scene import domain as box
 from multicell.scene.dependences import solving_order
 from multicell.scene.field_solvers import check_solver
-from multicell.scene.oxygen import OXYGEN, saturated
+from multicell.scene.nutrient import LEVELS
+from multicell.scene.oxygen import OXYGEN, check_dissolves
 from multicell.scene.reactions import groups
 from multicell.scene.scales import (
     MAX_NODES,
@@ -23,6 +24,7 @@ from multicell.scene.scales import (
     repeating,
     touches_medium,
 )
+from multicell.scene.sizes import division_radius, radius_scales
 from multicell.schema import leaves, near_miss, separated
 
 if TYPE_CHECKING:
@@ -66,10 +68,12 @@ def check_types(scene: Scene) -> None:
         check_names(kind.chemotaxis_of, scene.chemotaxis, path, known)
         for key in ("uptake_of", "secretion_of"):
             check_names(getattr(kind, key), scene.nutrients, f"types.{name}.{key}", FIELD_HINT)
+        _check_thresholds(scene, name, kind)
         if kind.sticks and scene.adhesion is None:
             path = f"types.{name}.{'receptor' if any(v for _, v in kind.receptor) else 'ligand'}"
             hint = "An [adhesion] table says how strongly receptors bind."
             raise SceneError(path, "has no effect: the scene has no adhesion", hint)
+    _check_sizes_of_types(scene)
     if scene.adhesion is not None and not any(kind.sticks for kind in types.values()):
         hint = "Give types.<name>.receptor and types.<name>.ligand."
         raise SceneError("adhesion", "has no effect: no type carries receptors or ligands", hint)
@@ -114,6 +118,41 @@ def check_flat(scene: Scene) -> None:
             raise SceneError(where, f"points out of the plane of {scene_of}")
         if (path[-1], value) == ("geometry", "radial"):
             raise SceneError(where, f"is {value!r} in {scene_of}")
+
+
+def _check_sizes_of_types(scene: Scene) -> None:
+    """Refuse changes between types of other sizes that cells would never have."""
+    if len(set(radius_scales(scene))) == 1 or scene.growth is None:
+        return
+    if not scene.growth.phases or scene.growth.law != "exponential":
+        return
+    for name, part in scene.responses.items():
+        if " to " in part.behaviour:
+            hint = "Take law = 'linear' or 'relaxation', or the same division_radius_scale."
+            problem = "changes to a size that cells never reach where growth is exponential"
+            raise SceneError(f"responses.{name}.behaviour", problem, hint)
+
+
+def _check_thresholds(scene: Scene, name: str, kind: CellType) -> None:
+    """Refuse factors on thresholds that a field does not have, and cells that die before rest."""
+    for key in ("quiescence", "necrosis"):
+        having = [x for x, field in scene.nutrients.items() if getattr(field, key) is not None]
+        factors, path = getattr(kind, f"{key}_of"), f"types.{name}.{key}_of"
+        check_names(factors, having, path, f"a field with {key}")
+    for own in {**(kind.quiescence_of or {}), **(kind.necrosis_of or {})}:
+        field = scene.nutrients[own]
+        if field.quiescence is None or field.necrosis is None:
+            continue
+        rest = field.quiescence * (kind.quiescence_of or {}).get(own, 1.0)
+        death = field.necrosis * (kind.necrosis_of or {}).get(own, 1.0)
+        if 0.0 < rest <= death:
+            key = "necrosis_of" if own in (kind.necrosis_of or ()) else "quiescence_of"
+            problem = (
+                f"lets cells die below {death:g} mM and rest below {rest:g} mM: thresholds in the "
+                "wrong order"
+            )
+            hint = "Starving cells first rest, then die."
+            raise SceneError(f"types.{name}.{key}.{own}", problem, hint)
 
 
 def _check_energies(scene: Scene, path: str, kind: CellType) -> None:
@@ -196,7 +235,7 @@ def _check_names(scene: Scene, path: str, nutrient: Nutrient) -> None:
 
 
 def _check_beginning(scene: Scene, name: str, path: str, nutrient: Nutrient) -> None:
-    """Check that what a field starts from and what is released have an effect."""
+    """Check that initial values and releases of a field have an effect."""
     given = [f"release.{key}" for key in nutrient.release]
     given += ["initial_formula"] if nutrient.initial_formula else []
     if given and regime(scene, name) == "steady":
@@ -205,27 +244,29 @@ def _check_beginning(scene: Scene, name: str, path: str, nutrient: Nutrient) -> 
     for key, release in nutrient.release.items():
         if release.type:
             check_names([release.type], scene.types, f"{path}.release.{key}.type", "a type")
+        ends = (None if scene.box is None else getattr(scene.domain, axis) for axis in "xyz")
+        for x, side in zip(release.place or (), ends, strict=False):
+            if side is not None and not side[0] <= x <= side[1]:
+                problem = f"is {list(release.place or ())} um, outside the domain"
+                hint = "Look at domain.x, domain.y and domain.z."
+                raise SceneError(f"{path}.release.{key}.place", problem, hint)
 
 
 def _check_oxygen(path: str, nutrient: Nutrient) -> None:
-    """Check that nowhere is more oxygen than water dissolves of pure oxygen, nor needed by cells.
+    """Check that nowhere is more oxygen than water dissolves, nor does it matter to cells there.
 
-    1 mM is allowed at any temperature: at that of the body it is what dissolves, to 0.01 %.
+    A half saturation may be more: then uptake is in proportion to the concentration.
     """
-    most = max(saturated(nutrient.temperature), 1.0)
-    levels = {key: getattr(nutrient, key) or 0.0 for key in ("boundary", "quiescence", "necrosis")}
-    levels["media"] = max((value for _, value in nutrient.media or ()), default=0.0)
-    levels |= {f"sides.{face}.value": side.value or 0.0 for face, side in nutrient.sides.items()}
+    levels = {key: getattr(nutrient, key) for key in LEVELS if key != "half_saturation"}
+    levels["media"] = max((value for _, value in nutrient.media or ()), default=None)
+    levels |= {f"sides.{face}.value": side.value for face, side in nutrient.sides.items()}
     for key, level in levels.items():
-        if level > most:
-            problem = f"is {level:.4g} mM, but under pure oxygen water dissolves {most:.3g} mM"
-            hint = f"Percentages and pressures have a unit: '{level:.4g} %', '{level:.4g} mmHg'."
-            raise SceneError(f"{path}.{key}", problem, hint)
+        check_dissolves(level or 0.0, nutrient.temperature, f"{path}.{key}")
 
 
 def _check_spacing(scene: Scene, path: str, nutrient: Nutrient) -> None:
     """Check that a grid is neither coarser nor far finer than the cells."""
-    given, radius = nutrient.spacing, scene.cells.division_radius
+    given, radius = nutrient.spacing, division_radius(scene)
     widest, finest = 4.0 * radius, _FINEST * radius
     if given is None or finest <= given <= widest:
         return
@@ -274,7 +315,7 @@ def _check_finite(scene: Scene, path: str, nutrient: Nutrient) -> None:
         problem = "is 'linear', but a finite medium changes by itself and is replaced at times"
         raise SceneError(f"{path}.media_change", problem, "Leave it out.")
     if scene.box is not None:
-        height = nutrient.height or 2.0 * scene.cells.division_radius
+        height = nutrient.height or 2.0 * division_radius(scene)
         flat = height if scene.dimensions == 2 else 1.0
         covered = math.prod(box.sides(scene.box)) * flat
         if not finite.volume > covered:

@@ -37,6 +37,7 @@ _SAME: Final[Mapping[str, str]] = {
     "nutrients.*": "diffusion diffusion_medium spacing margin layer height",
     "nutrients.*.finite_medium": "volume",
     "nutrients.*.sides.*": "derivative",
+    "nutrients.*.release.*": "amount place radius",
 }
 """Keys with lengths of the tissue and of its fields, which stay."""
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from multicell.contact.law import compliance
 from multicell.errors import SceneError, StepFailed
+from multicell.scene.sizes import division_radii
 
 if TYPE_CHECKING:
     from multicell.cells import Cells, FloatArray, IntArray
@@ -36,7 +37,7 @@ def check_domain(scene: Scene) -> None:
     if scene.death is not None and scene.death.inflow:
         hint = "Walls would stop the medium: leave out inflow, or the domain."
         raise SceneError("death.inflow", "has no meaning in a domain", hint)
-    widest = 2.0 * scene.cells.division_radius
+    widest = 2.0 * division_radii(scene)[1]
     if scene.domain.radius is not None:
         if scene.domain.radius < 0.5 * widest:
             problem = f"is {scene.domain.radius:g} um, must be at least {0.5 * widest:g} um"
@@ -81,7 +82,7 @@ def _check_periodic(scene: Scene, domain: Domain) -> None:
 def _interaction_range(scene: Scene) -> float:
     """Return the largest distance at which two cells of a scene may act on each other, µm."""
     swelling = 1.0 if scene.death is None else scene.death.swelling
-    largest = scene.cells.division_radius * swelling ** (1.0 / 3.0)
+    largest = division_radii(scene)[1] * swelling ** (1.0 / 3.0)
     kinds, law = scene.types.values(), scene.contact
     young = min((kind.young or scene.cells.young for kind in kinds), default=scene.cells.young)
     energies = [e for kind in kinds for e in (kind.surface_energy or {}).values()]
@@ -124,12 +125,12 @@ _WORTH_TELLING = 0.75
 def finer(lengths: Sequence[float], spacing: float) -> str:
     """Return in words how much finer than asked for cubes are that fill a box; else nothing."""
     counts = filling(lengths, spacing)
-    step = lengths[0] / counts[0] if counts else spacing
-    if step >= _WORTH_TELLING * spacing:
+    edge = lengths[0] / counts[0] if counts else spacing
+    if edge >= _WORTH_TELLING * spacing:
         return ""
     size = " x ".join(f"{length:g}" for length in lengths)
     return (
-        f"{step:.4g} um instead of {spacing:.4g} um, {(spacing / step) ** len(lengths):.3g} times "
+        f"{edge:.4g} um instead of {spacing:.4g} um, {(spacing / edge) ** len(lengths):.3g} times "
         f"as many nodes: nothing between fits into all sides of {size} um a whole number of times"
     )
 

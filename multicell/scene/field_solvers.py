@@ -2,7 +2,7 @@
 
 Explicit solvers, and py-pde's implicit ones, whose equations are solved by fixed-point iteration,
 need steps that the fastest rate of a field bounds. All take fixed steps of half of that, so that a
-scene says beforehand what they cost; SciPy's and ours choose their own by a tolerance.
+scene predicts their cost; SciPy's and ours choose their own by a tolerance.
 """
 
 from __future__ import annotations

@@ -5,21 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multicell.errors import DataError, SceneError
 from multicell.tables.columns import PARQUET, Columns, from_bytes, from_rows, from_titles
 from multicell.tables.images import TIFF, cells_of_image
 from multicell.tables.mapping import ColumnMap, like, mapped, numbers_of, parse_map
 from multicell.tables.sheets import ZIP, sheet_rows
-from multicell.tables.text import text_form
+from multicell.tables.text import read_bytes, text_form
 from multicell.tables.titles import split_title
 from multicell.tables.writers import UNITS_BELOW, Writer, map_of, unit_word, writer_of
 from multicell.units import time_text, unit_factor
 
 _PLAIN: Final = ("x", "y", "z")
+_LARGEST_IMAGE: Final = 16_000_000_000  # bytes
 
 
 @final
@@ -49,7 +51,11 @@ def foreign_cells(content: bytes, path: Path, choice: CellsChoice) -> tuple[Colu
     """
     names, name = parse_map(choice.columns), path.name
     if content[:4] in TIFF:
-        columns, words = cells_of_image(content, name, names, choice.frame)
+        image = None
+        if names.setting("image"):  # a relative path counts from the folder of the labels
+            place = path.parent / Path(names.setting("image")).expanduser()
+            image = read_bytes(place, _LARGEST_IMAGE), place.name
+        columns, words = cells_of_image(content, name, names, choice.frame, image)
         return Columns(name, columns), words
     if content[:4] == PARQUET:
         return None if not choice.given else _read(from_bytes(content, name), names, choice, None)
@@ -68,6 +74,41 @@ def foreign_cells(content: bytes, path: Path, choice: CellsChoice) -> tuple[Colu
     table = from_bytes(content, name, form=form, skip=len(below), wanted=wanted)
     unit = below[-1][titles.index(UNITS_BELOW[-1])] if below else ""
     return _read(table, names, choice, writer, unit)
+
+
+def read_cells(
+    file: str | Path, columns: str = "", *, frame: int | None = None, time: float | None = None
+) -> dict[str, NDArray[Any]]:
+    """Read a table of cells or an image of labels as columns that a start takes.
+
+    Parameters
+    ----------
+    file
+        CSV, Excel, Parquet or TIFF.
+    columns
+        What the columns are, as of ``--columns``; for labels ``pixel`` and ``slice``, and
+        ``image``, the file of the image whose mean intensities become the column ``intensity``.
+    frame
+        Of several; by default the first.
+    time
+        In place of it, s: the frame nearest to it.
+
+    Returns
+    -------
+    dict
+        Column by title, (cells,): ``x / um``, ``radius / um`` and so on. ``cells=`` of runs takes
+        it, with columns added or without some.
+
+    Raises
+    ------
+    DataError, SceneError
+        For what cannot be read.
+    """
+    place = Path(file)
+    content = read_bytes(place, _LARGEST_IMAGE)
+    found = foreign_cells(content, place, CellsChoice(columns, frame, time))
+    table = from_bytes(content, place.name) if found is None else found[0]
+    return dict(table.columns)
 
 
 def _wanted(writer: Writer | None, names: ColumnMap) -> Callable[[str], bool]:

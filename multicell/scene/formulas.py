@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import math
+import sys
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
@@ -78,6 +79,8 @@ def _check_node(node: ast.expr, path: str, deep: int) -> None:
     """Refuse what is not in the tables."""
     parts: list[ast.expr] | None = None
     number = isinstance(node, ast.Constant) and type(node.value) in (int, float)
+    if number and node.value > sys.float_info.max:  # type: ignore[attr-defined]
+        raise SceneError(path, "has a number that is too large to compute with", FORMULA_HINT)
     if number or (isinstance(node, ast.Name) and node.id in _NAMES):
         parts = []
     elif isinstance(node, ast.UnaryOp) and type(node.op) in _OPERATORS:

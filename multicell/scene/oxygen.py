@@ -89,6 +89,18 @@ def saturated(temperature: float) -> float:
     return (_ATMOSPHERE - vapour_pressure(temperature)) * oxygen_solubility(temperature)
 
 
+def check_dissolves(level: float, temperature: float, path: str) -> None:
+    """Raise ``SceneError`` for more oxygen, mM, than water dissolves of it pure.
+
+    1 mM is allowed at any temperature: at that of the body it is what dissolves, to 0.01 %.
+    """
+    most = max(saturated(temperature), 1.0)
+    if level > most:
+        problem = f"is {level:.4g} mM, but under pure oxygen water dissolves {most:.3g} mM"
+        hint = f"Percentages and pressures have a unit: '{level:.4g} %', '{level:.4g} mmHg'."
+        raise SceneError(path, problem, hint)
+
+
 def hypoxia_of(name: str, nutrients: Mapping[str, Nutrient]) -> float | None:
     """Return below which concentration of a field cells are hypoxic, mM; None if never."""
     field = nutrients[name]

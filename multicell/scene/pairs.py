@@ -13,7 +13,7 @@ import numpy as np
 from multicell.cells import FloatArray, stokes_drag
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.contact.pair import Pair
-from multicell.scene.sizes import birth_radius
+from multicell.scene.sizes import birth_radius, division_radius, mean_scale, radius_scales
 
 if TYPE_CHECKING:
     from multicell.mechanics.compression import TissueCompression
@@ -47,11 +47,13 @@ def drag(scene: Scene, radius: float) -> float:
 def daughters_stiffness(scene: Scene) -> float:
     """Return dF/dh in nN/µm of two daughters that have just separated.
 
-    They stand at ±r(1 - 2^(-1/3)) about the centre of their mother of radius r.
+    They stand at ±r(1 - 2^(-1/3)) about the centre of their mother of radius r. That of types of
+    another size is taken over their size as that of a mean cell is: so it compares with its drag.
     """
-    mother, daughter = scene.cells.division_radius, birth_radius(scene)
+    mother, daughter = division_radius(scene), birth_radius(scene)
     overlap = 2.0 * daughter - 2.0 * (mother - daughter)
-    return max(pair.stiffness(overlap) for _, pair in type_pairs(scene, daughter))
+    sizes = ((pair, pair.rest / (2.0 * daughter)) for _, pair in type_pairs(scene, daughter))
+    return float(max(pair.stiffness(overlap * size) / size for pair, size in sizes))
 
 
 def explicit_limit(scene: Scene) -> float:
@@ -61,14 +63,17 @@ def explicit_limit(scene: Scene) -> float:
 
 
 def type_pairs(scene: Scene, radius: float, time: float = 0.0) -> Iterator[tuple[str, Pair]]:
-    """Yield the name and the pair of equal cells for every two types of a scene.
+    """Yield the name and the pair of cells in the same stage for every two types of a scene.
+
+    - ``radius``: of a cell of the mean size at this stage, µm; types may be smaller or larger
 
     The name is empty where all cells are alike, else for example ``"cohesive-loose"``.
     """
-    names = list(scene.types)
+    names, mean = list(scene.types), mean_scale(scene)
+    own = [radius * (scale / mean) for scale in radius_scales(scene)]
     for i, j in combinations_with_replacement(range(max(len(names), 1)), 2):
         label = f"{names[i]}-{names[j]}" if names else ""
-        yield label, pair_of(scene, i, j, radius, radius, time)
+        yield label, pair_of(scene, i, j, own[i], own[j], time)
 
 
 def pair_of(

@@ -419,6 +419,12 @@ class CellType:
     ligand: tuple[tuple[float, float], ...] = course(
         default=0.0, at_least=0, doc="ligand concentration on the surface over time"
     )
+    quiescence_of: Mapping[str, float] | None = quantities(
+        "", at_least=0, at_most=1e6, doc="factors on the quiescence of fields, by name; 0: never"
+    )
+    necrosis_of: Mapping[str, float] | None = quantities(
+        "", at_least=0, at_most=1e6, doc="factors on the necrosis of fields, by name; 0: never"
+    )
     cycle_scale: float = number(
         default=1.0,
         at_least=1e-9,
@@ -439,6 +445,12 @@ class CellType:
     )
     secretion_of: Mapping[str, float] | None = quantities(
         "", at_least=0, at_most=1e6, doc="further factors on the secretion of fields, by name"
+    )
+    division_radius_scale: float = number(
+        default=1.0,
+        at_least=0.1,
+        at_most=10,
+        doc="radius at which a cell of the type divides / cells.division_radius",
     )
     motility_scale: float = number(
         default=1.0, at_least=0, doc="active forces / those of the scene"

@@ -15,6 +15,7 @@ from multicell.contact.law import effective_modulus, effective_radius
 from multicell.errors import SceneError
 from multicell.host.memory import physical_memory
 from multicell.integrators.registry import METHODS
+from multicell.scene.sizes import division_radii
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -35,25 +36,30 @@ BYTES_PER_CELL: Final = 1000
 """What a running simulation holds for each cell at least: state, lists, solver vectors."""
 
 
+_CROWD: Final = (1000, 8e6)
+"""Pairs in reach for each cell, and beyond them in all: twice what a list of neighbours holds."""
+
+
 def check_sizes(scene: Scene) -> None:
     """Raise ``SceneError`` for numbers that nothing can be computed with together."""
     _check_steps(scene)
+    _check_crowd(scene)
     _check_overlap(scene)
     _check_diffusion(scene)
 
 
 def _check_steps(scene: Scene) -> None:
     """Raise ``SceneError`` for steps so short or so long that no run could use them."""
-    step = scene.coupling_step
-    if scene.duration / step > MAX_STEPS:
-        problem = f"is {step:g} s, must be at least {scene.duration / MAX_STEPS:g} s"
+    coupling_step = scene.coupling_step
+    if scene.duration / coupling_step > MAX_STEPS:
+        problem = f"is {coupling_step:g} s, must be at least {scene.duration / MAX_STEPS:g} s"
         hint = f"The run would take more than {MAX_STEPS:g} coupling steps."
         raise SceneError("coupling_step", problem, hint)
     fixed = scene.integrator
     info = METHODS.get(fixed.method)
-    steps = min(step, scene.duration) / fixed.step
+    steps = min(coupling_step, scene.duration) / fixed.step
     if info is not None and info.control == "step" and steps > MAX_FIXED_STEPS:
-        problem = f"is {fixed.step:g} s, must be at least {step / MAX_FIXED_STEPS:g} s"
+        problem = f"is {fixed.step:g} s, must be at least {coupling_step / MAX_FIXED_STEPS:g} s"
         hint = f"A coupling step would take more than {MAX_FIXED_STEPS:g} steps."
         raise SceneError("integrator.step", problem, hint)
     if scene.growth is None:
@@ -61,15 +67,32 @@ def _check_steps(scene: Scene) -> None:
     # a cell divides once in a coupling step at most: a shorter cycle would only make it larger
     quickest = min((kind.cycle_scale for kind in scene.types.values()), default=1.0)
     cycle = quickest * scene.growth.mean_cycle
-    if min(step, scene.duration) > cycle:
+    if min(coupling_step, scene.duration) > cycle:
         mean = scene.growth.mean_cycle
         if mean < 1000.0:
-            problem = f"is {mean:g} s, shorter than a coupling step of {step:g} s"
+            problem = f"is {mean:g} s, shorter than a coupling step of {coupling_step:g} s"
             hint = f"A number without a unit is in seconds: write '{mean:g} h' for hours."
             raise SceneError("growth.cycle_time", problem, hint)
-        problem = f"is {step:g} s, must be at most a cycle of the cells, {cycle:g} s"
+        problem = f"is {coupling_step:g} s, must be at most a cycle of the cells, {cycle:g} s"
         hint = "Cells divide between coupling steps; take about a twentieth of the cycle."
         raise SceneError("coupling_step", problem, hint)
+
+
+def _check_crowd(scene: Scene) -> None:
+    """Raise ``SceneError`` for cells so dense at the start that they are on top of each other.
+
+    In the closest packing of points √2/d³ of them are in a unit of space, 2/(√3 d²) in one of a
+    plane; counted are those within a diameter of each.
+    """
+    start, n = scene.initial, scene.initial.count
+    if start.cells is not None or not scene.contact.acts:
+        return
+    axes = 1 if start.shape == "row" else scene.dimensions
+    within = (2.0, 2.0 * math.pi / math.sqrt(3.0), 4.0 * math.pi * math.sqrt(2.0) / 3.0)[axes - 1]
+    near = min(n - 1.0, within / max(start.spacing, 1e-6) ** axes)  # no power underflows
+    if 0.5 * n * near > _CROWD[0] * n + _CROWD[1]:
+        problem = f"is {start.spacing:g}: each of {n:,} cells would overlap {near:,.0f} others"
+        raise SceneError("initial.spacing", problem, "At 1 neighbours touch.")
 
 
 def _check_overlap(scene: Scene) -> None:
@@ -87,7 +110,7 @@ def _check_overlap(scene: Scene) -> None:
     if energies:
         law = law.with_surface_energy(max(energies))
     modulus, bonds = effective_modulus(young, poisson, young, poisson), _most_bonds(scene)
-    for radius in (HALF * scene.cells.division_radius, scene.cells.division_radius):
+    for radius in (part * own for own in division_radii(scene) for part in (HALF, 1.0)):
         pair, deep = effective_radius(radius, radius), 1.99 * radius
         force = float(law.evaluate(deep, modulus, pair, rest=2.0 * radius, touching=True)[0])
         if force > math.pi * float(pair) * bonds * deep:

@@ -36,8 +36,8 @@ from multicell.plugins.named import OWN_OBJECT
 from multicell.scene.checks import check_kinds
 from multicell.scene.dependences import followed
 from multicell.scene.networks import check_kinds_have, check_network_signal, network_signals
-from multicell.scene.oxygen import concentration
-from multicell.scene.parts import loaded_in
+from multicell.scene.oxygen import check_dissolves, concentration
+from multicell.scene.parts import CellType, loaded_in
 from multicell.scene.reactions import group_of
 from multicell.schema import (
     Bounds,
@@ -52,6 +52,7 @@ from multicell.schema import (
     parameters,
     quantities,
     separated,
+    specs,
     text,
 )
 from multicell.schema.bounds import reader, rises
@@ -198,10 +199,16 @@ def _short_forms(scene: Scene) -> Iterator[Effect]:
         dying = death.necrosis_rate
 
     def short(
-        what: str, signal: str, law: ResponseLaw, key: str, falls: bool, high: float = 1.0
+        what: str,
+        signal: str,
+        law: ResponseLaw,
+        key: str,
+        falls: bool,
+        high: float = 1.0,
+        types: tuple[str, ...] = (),
     ) -> Effect:
         combine = behaviour_named(what, key)[0].combine
-        return Effect(what, (signal,), law, falls, 0.0, high, (), combine, key, short=True)
+        return Effect(what, (signal,), law, falls, 0.0, high, types, combine, key, short=True)
 
     def needs(part: Any, signal: str, path: str) -> Iterator[Effect]:
         """Yield the needs of cells of a field or of ATP."""
@@ -213,9 +220,10 @@ def _short_forms(scene: Scene) -> Iterator[Effect]:
             "necrosis_above": (what_kills, partial(Threshold, strict=True), False, dying),
         }
         for key, (what, law, falls, high) in laws.items():
-            level = getattr(part, key, None)
-            if level is not None:
-                yield short(what, signal, law(level), f"{path}.{key}", falls, high)
+            if getattr(part, key, None) is None:
+                continue
+            for level, types in _levels(scene, part, signal, key):
+                yield short(what, signal, law(level), f"{path}.{key}", falls, high, types)
 
     for name, field in scene.nutrients.items():
         yield from needs(field, name, f"nutrients.{name}")
@@ -225,6 +233,42 @@ def _short_forms(scene: Scene) -> Iterator[Effect]:
         key, critical = "growth.critical_pressure", scene.growth.critical_pressure
         yield short("growth rate", "pressure", LinearResponse(0.0, critical), key, falls=True)
         yield short("rest", "pressure", Threshold(critical), key, falls=False)
+
+
+def _levels(
+    scene: Scene, part: Any, signal: str, key: str
+) -> Iterator[tuple[float, tuple[str, ...]]]:
+    """Yield the levels of a need, each with its types; without types where it is that of all."""
+    if f"{key}_of" not in specs(CellType) or signal not in scene.nutrients:
+        yield getattr(part, key), ()
+        return
+    own = type_thresholds(scene, signal, key)
+    for level in dict.fromkeys(own.values()):
+        same = tuple(name for name in own if own[name] == level)
+        yield level, () if len(same) == len(own) else same
+
+
+def type_thresholds(scene: Scene, field: str, key: str) -> dict[str, float]:
+    """Return the threshold of each type, by name, mM; of a scene without types one, named ``""``.
+
+    - ``key``: ``"quiescence"`` or ``"necrosis"``; empty where the field does not have it
+    """
+    level = getattr(scene.nutrients[field], key)
+    if level is None:
+        return {}
+    factors = {name: getattr(kind, f"{key}_of") or {} for name, kind in scene.types.items()}
+    return {name: level * of.get(field, 1.0) for name, of in (factors or {"": {}}).items()}
+
+
+def usual_type(types: Mapping[str, CellType]) -> str:
+    """Return the name of the most numerous type at the start; empty where there are none."""
+    return max(types, key=lambda name: types[name].fraction, default="")
+
+
+def shared_threshold(scene: Scene, field: str, key: str) -> float | None:
+    """Return the threshold of a field that all types have in common, mM, or None."""
+    levels = set(type_thresholds(scene, field, key).values())
+    return levels.pop() if len(levels) == 1 else None
 
 
 def _effect(scene: Scene, name: str, part: Response) -> Effect:
@@ -411,7 +455,9 @@ def signal_reader(scene: Scene, name: str) -> Any:
         given = (
             concentration(value, name, path, scene.nutrients) if isinstance(value, str) else value
         )
-        return read(given, path)
+        level = float(read(given, path))
+        check_dissolves(level, scene.nutrients[name].temperature, path)
+        return level
 
     return oxygen if name == "oxygen" and name in scene.nutrients else read
 

@@ -11,7 +11,7 @@ from multicell.cells import SPHERE
 from multicell.scene import domain as box
 from multicell.scene.nutrient import Nutrient, Side
 from multicell.scene.reactions import group_of
-from multicell.scene.sizes import typical_radius
+from multicell.scene.sizes import division_radius, typical_radius
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -131,7 +131,7 @@ def tissue_radius(scene: Scene) -> float:
 
 def layer_height(scene: Scene, name: str) -> float:
     """Return the height in µm of the layer that a field in a plane fills."""
-    return scene.nutrients[name].height or 2.0 * scene.cells.division_radius
+    return scene.nutrients[name].height or 2.0 * division_radius(scene)
 
 
 def regime(scene: Scene, name: str) -> str:
@@ -166,5 +166,5 @@ def largest_spacing(scene: Scene, name: str) -> float:
     if stated:
         return stated[0]
     depth = min(scales(scene, other).depth for other in group)
-    diameter = 2.0 * scene.cells.division_radius
+    diameter = 2.0 * division_radius(scene)
     return max(min(depth / _POINTS, diameter), 0.5 * diameter)

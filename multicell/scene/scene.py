@@ -464,7 +464,7 @@ def check_dotted(key: object) -> None:
 
 
 def _set_free(entries: dict[str, Any], key: str) -> None:
-    """Forget that a concentration is a part of another one, if it is what a change has set."""
+    """Forget that a concentration is a part of another one, if a change has set it."""
     path = key.split(".")
     field = entries.get("nutrients", {}).get(path[1])
     if len(path) == 3 and isinstance(field, dict) and path[2] in field.get("relative", {}):

@@ -6,27 +6,60 @@ import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multicell.cells import SPHERE
 
 if TYPE_CHECKING:
+    from multicell.cells import FloatArray
     from multicell.mechanics.brownian import BrownianPaths
     from multicell.scene.scene import Scene
 
 
 def division_volume(scene: Scene) -> float:
-    """Return the volume at which a cell divides, µm³."""
+    """Return the volume at which a cell divides whose type has no scale of its own, µm³."""
     return float(SPHERE * scene.cells.division_radius**3)
 
 
 def birth_volume(scene: Scene) -> float:
-    """Return the volume of a newborn cell, half the division volume, µm³."""
+    """Return half of that volume, µm³, with which such a cell is born."""
     return 0.5 * division_volume(scene)
 
 
+def radius_scales(scene: Scene) -> list[float]:
+    """Return the scale of each type on radii, in their order; of a scene without types one."""
+    return [kind.division_radius_scale for kind in scene.types.values()] or [1.0]
+
+
+def mean_scale(scene: Scene) -> float:
+    """Return the scale on radii that gives the mean volume of the types as mixed at the start."""
+    scales = np.array(radius_scales(scene))
+    if (scales == 1.0).all():
+        return 1.0
+    share = [kind.fraction for kind in scene.types.values()]
+    return float(np.cbrt(np.average(scales**3, weights=share)))
+
+
+def birth_volumes(scene: Scene, kind: NDArray[np.integer]) -> float | FloatArray:
+    """Return the volumes in µm³ with which cells of types are born, (n,) or one for all."""
+    scales = np.array(radius_scales(scene))
+    return birth_volume(scene) * (1.0 if (scales == 1.0).all() else scales[kind] ** 3)
+
+
+def division_radii(scene: Scene) -> list[float]:
+    """Return the radius in µm at which cells divide, of the smallest type and of the largest."""
+    scales = radius_scales(scene)
+    return [scene.cells.division_radius * scale for scale in (min(scales), max(scales))]
+
+
+def division_radius(scene: Scene) -> float:
+    """Return the radius in µm at which a cell divides, of types the mean one by volume."""
+    return scene.cells.division_radius * mean_scale(scene)
+
+
 def birth_radius(scene: Scene) -> float:
-    """Return the radius of a cell of half the division volume, µm."""
-    return float(scene.cells.division_radius / np.cbrt(2.0))
+    """Return the radius of a cell of half its division volume, µm, of types the mean one."""
+    return float(division_radius(scene) / np.cbrt(2.0))
 
 
 def typical_radius(scene: Scene) -> float:
@@ -36,7 +69,7 @@ def typical_radius(scene: Scene) -> float:
     """
     if scene.growth is None and scene.initial.stage == "birth" and scene.initial.cells is None:
         return birth_radius(scene)
-    return math.sqrt(birth_radius(scene) * scene.cells.division_radius)
+    return math.sqrt(birth_radius(scene) * division_radius(scene))
 
 
 _FINE: Final = 0.2
@@ -55,7 +88,7 @@ def internal_step(scene: Scene) -> float:
     if law.diffusion_step is not None:
         return law.diffusion_step
     scale = max((kind.diffusion_scale for kind in scene.types.values()), default=1.0)
-    way = _FINE * birth_radius(scene)
+    way = _FINE * float(division_radii(scene)[0] / np.cbrt(2.0))
     return scene.coupling_step if not scale else way**2 / (2.0 * scale * law.diffusion)
 
 

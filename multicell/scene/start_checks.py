@@ -7,15 +7,17 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import Phase, State
+from multicell.cells import HALF, Phase, State
 from multicell.errors import DataError
 from multicell.scene.domain import strayed
-from multicell.scene.sizes import birth_radius
+from multicell.scene.sizes import birth_radius, division_radii, radius_scales
 from multicell.scene.start_table import near_pairs, positions, refuse_coinciding
 from multicell.schema import near_miss
 from multicell.tables.titles import titled
+from multicell.units import shown, whole_number
 
 if TYPE_CHECKING:
+    from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
     from multicell.scene.start_table import Given
 
@@ -49,7 +51,20 @@ def deep_overlaps(scene: Scene) -> int:
     Cells whose radii the table does not give count as newborn.
     """
     assert scene.initial.cells is not None
-    return len(near_pairs(scene.initial.cells.given, 0.5, birth_radius(scene)))
+    given = scene.initial.cells.given
+    newborn = HALF * _division_radii(scene, given)
+    return len(near_pairs(given, 0.5, newborn if newborn.ndim else birth_radius(scene)))
+
+
+def _division_radii(scene: Scene, given: Given) -> FloatArray:
+    """Return the radius in µm at which each cell of a table divides, (n,).
+
+    One number where the table gives no types: the largest, since types are not drawn yet.
+    """
+    kinds = kinds_of(scene, given)
+    if kinds is None:
+        return np.asarray(division_radii(scene)[1])
+    return np.asarray(scene.cells.division_radius * np.array(radius_scales(scene))[kinds])
 
 
 def kinds_of(scene: Scene, given: Given) -> NDArray[np.int16] | None:
@@ -61,8 +76,9 @@ def kinds_of(scene: Scene, given: Given) -> NDArray[np.int16] | None:
     for code, number in enumerate(numbers):
         if number is None:
             row = int(np.argmax(codes == code))
-            problem = f"is {given.kinds[code]!r}, no type of this scene"
-            none = f"It has no [types]: write [types.{given.kinds[code]}], or leave the column out."
+            problem = f"is {shown(given.kinds[code])}, no type of this scene"
+            table = f"[types.{given.kinds[code][:40]}]"
+            none = f"It has no [types]: write {table}, or leave the column out."
             hint = near_miss(given.kinds[code], names) if names else none
             raise DataError(given.place(row, "kind"), problem, hint)
     return np.asarray(np.array(numbers, dtype=np.int16)[codes])
@@ -72,9 +88,9 @@ def _type_of(word: str, names: list[str]) -> int | None:
     """Return the place of a type by its name, or by this number as text."""
     if word in names:
         return names.index(word)
-    number = int(word) if word.isdecimal() else -1
+    number = whole_number(word)
     # in a scene without types all cells are of type 0
-    return number if 0 <= number < max(len(names), 1) else None
+    return number if number is not None and number < max(len(names), 1) else None
 
 
 def _check_axes(scene: Scene, given: Given) -> None:
@@ -118,16 +134,18 @@ def _check_phases(scene: Scene, given: Given) -> None:
 
 def _check_sizes(scene: Scene, given: Given) -> None:
     """Check radii, Poisson ratios and cycle times against those that the scene allows."""
-    columns, limit = given.columns, scene.cells.division_radius
+    columns, limit = given.columns, _division_radii(scene, given)
     if "radius" in columns:
         dead = columns.get("state", np.zeros(len(given))) > State.QUIESCENT
         phases = scene.growth is not None and bool(scene.growth.phases)
         most = np.where(dead, _SWOLLEN, _BEYOND if phases else 1.0) * limit
         if phases and "phase" in columns:  # of a run, where cells may have been held in one
             most = np.full(len(given), np.inf)
-        problem = f"is {{}}, beyond the radius of a dividing cell, {limit:g} um"
+        wrong = columns["radius"] > most * (1.0 + _ROUNDING)
+        own = np.broadcast_to(limit, len(given))[np.argmax(wrong)]
+        problem = f"is {{}}, beyond the radius of a dividing cell, {own:g} um"
         hint = "Set cells.division_radius to that of your cells, or check the unit."
-        given.refuse(columns["radius"] > most * (1.0 + _ROUNDING), "radius", problem, hint)
+        given.refuse(wrong, "radius", problem, hint)
     if "poisson" in columns:
         wrong = ~((columns["poisson"] > -1.0) & (columns["poisson"] <= 0.5))
         given.refuse(wrong, "poisson", "is {}, must be above -1 and at most 0.5")

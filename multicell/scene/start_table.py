@@ -1,6 +1,6 @@
 """The table of cells that a run starts with: read once, known by the digest of its bytes.
 
-What a file holds is read here, whatever the scene: columns, their units, numbers and names. What of
+The content of a file is read here for any scene: columns, their units, numbers and names. What of
 it fits to a scene is checked by :mod:`multicell.scene.start_checks`.
 """
 
@@ -85,6 +85,8 @@ _BLOCK: Final = 50_000  # rows that are written at a time
 _CROWDED: Final = 50  # pairs of deep overlaps for each cell; packed tissue has a few
 _COINCIDING: Final = 0.01
 """Distance of two centres over the sum of the radii below which they are at one place."""
+INTENSITY: Final = "intensity"
+"""Beginning of the names of columns with what an image shows of a cell, which starts ignore."""
 CONCENTRATION_PREFIX: Final = "concentration_"
 """Beginning of the names of columns with what cells found of a field."""
 
@@ -189,7 +191,7 @@ class StartTable:
     time: float | None = quantity("s", default=None, doc="in place of frame: that nearest to it")
 
     def check(self) -> None:
-        """Read the file, unless it is known what it must hold."""
+        """Read the file, unless its content is known."""
         given = None if self.sha256 is None else _KNOWN.get(self.sha256)
         if given is None:
             if self.sha256 is not None and self.rows is not None:
@@ -380,7 +382,7 @@ def normalise(source: Columns) -> Given:
     titles: dict[str, str] = {}
     factors: dict[str, float] = {}
     for title in source.columns:
-        if title.startswith(CONCENTRATION_PREFIX):
+        if title.startswith((CONCENTRATION_PREFIX, INTENSITY)):
             continue
         read = _title(title, source.name)
         if read is None:
@@ -432,11 +434,11 @@ def _same_places(place: FloatArray) -> NDArray[np.int64]:
     return np.stack([earliest[later], later], axis=1)
 
 
-def near_pairs(given: Given, part: float, usual_radius: float) -> NDArray[np.int64]:
+def near_pairs(given: Given, part: float, usual_radius: float | FloatArray) -> NDArray[np.int64]:
     """Return the pairs (m, 2) of cells nearer than a part of the sum of their radii.
 
-    ``usual_radius``, µm, is that of cells in a table without radii. They are counted before they
-    are listed; ``DataError`` for more than a run could work with.
+    ``usual_radius``, µm, one or (n,), is that of cells in a table without radii. They are counted
+    before they are listed; ``DataError`` for more than a run could work with.
     """
     from scipy.spatial import KDTree
 

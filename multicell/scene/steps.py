@@ -25,16 +25,16 @@ _SHORTEST = 1e-9
 @final
 @dataclass(frozen=True)
 class StepPlan:
-    """Which coupling steps a run takes: up to each multiple of ``step``, each change, and its end.
+    """The coupling steps of a run: ends at multiples of one, changes, the end.
 
-    - ``step``, float, s: their length where nothing ends them before
+    - ``coupling_step``, float, s: their length where nothing ends them before
     - ``duration``, float, s: of the run
     - ``jumps``, times, s: at which the medium of a steady field changes at once, or irradiated
       cells die at once
     - ``changes``, times, s, rising: at which anything scheduled changes
     """
 
-    step: float
+    coupling_step: float
     duration: float
     jumps: tuple[float, ...] = ()
     changes: tuple[float, ...] = ()
@@ -42,10 +42,12 @@ class StepPlan:
     def next_end(self, time: float) -> float:
         """Return where the step that begins at a time ends, s, also beyond the run's end.
 
-        Multiples of ``step`` and changes that are the same but for rounding are one end, the
-        latest of them: all of them have happened by then.
+        Multiples of ``coupling_step`` and changes that are the same but for rounding are one end,
+        the latest of them: all of them have happened by then.
         """
-        regular = self.step * (math.floor((time + self._near(time)) / self.step) + 1)
+        regular = self.coupling_step * (
+            math.floor((time + self._near(time)) / self.coupling_step) + 1
+        )
         if not self.changes:
             return regular
         ahead = self.changes[bisect_right(self.changes, time + self._near(time)) :]
@@ -63,7 +65,9 @@ class StepPlan:
         last = self.duration - self._near(self.duration)
         if time >= last:
             return 0
-        regular = math.ceil(last / self.step) - math.floor((time + self._near(time)) / self.step)
+        regular = math.ceil(last / self.coupling_step) - math.floor(
+            (time + self._near(time)) / self.coupling_step
+        )
         return regular + sum(time < x < last for x in self.added)
 
     @cached_property
@@ -71,7 +75,7 @@ class StepPlan:
         """The changes that make ends of steps of their own, s."""
         ends: list[float] = []
         for change in self.changes:
-            apart = abs(change - self.step * round(change / self.step))
+            apart = abs(change - self.coupling_step * round(change / self.coupling_step))
             if apart > self._near(change):
                 if ends and change - ends[-1] <= self._near(change):
                     ends.pop()
@@ -88,7 +92,7 @@ class StepPlan:
 
     def _near(self, time: float) -> float:
         """Return how far apart times about this one are that are meant to be the same, s."""
-        return max(_SHORTEST * self.step, _ROUNDING * time)
+        return max(_SHORTEST * self.coupling_step, _ROUNDING * time)
 
 
 def step_plan(scene: Scene) -> StepPlan:

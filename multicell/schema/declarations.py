@@ -23,7 +23,7 @@ from multicell.schema.part import (
     part_as_dict,
     read_named,
 )
-from multicell.units import finite, shown
+from multicell.units import finite, shown, whole_number
 
 _THOUSANDS: Final = {"": 1, "k": 1000, "m": 1_000_000}  # of letters after a number
 T = TypeVar("T")
@@ -99,7 +99,8 @@ def _whole(value: object) -> int | None:
         return int(value)
     text = str(value).strip().lower() if isinstance(value, str) else ""
     found = re.fullmatch(r"(\d+|\d{1,3}(?:[, _]\d{3})+)\s*([km]?)", text)
-    return int(re.sub(r"\D", "", found[1])) * _THOUSANDS[found[2]] if found else None
+    number = whole_number(re.sub(r"\D", "", found[1])) if found else None
+    return None if found is None or number is None else number * _THOUSANDS[found[2]]
 
 
 def count(

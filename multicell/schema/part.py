@@ -45,7 +45,7 @@ class Parameter:
     - ``plain``: turns the stored value into numbers, strings and dicts that ``convert`` accepts
     - ``unit``: base unit of a quantity, else empty
     - ``allowed``: the allowed range or names in words, else empty
-    - ``doc``: what the parameter means
+    - ``doc``: meaning of the parameter
     - ``shorthand``: the key of a table that a bare string in the table's place stands for, else
       empty
     - ``table``: the class of a table, else None
@@ -150,7 +150,7 @@ def leaves(
 
 
 def part_as_dict(part: Any, names: Container[str] | None = None) -> dict[str, Any]:
-    """Return a part as a dict of plain values in base units; what is absent has no key.
+    """Return a part as a dict of plain values in base units; absent values have no key.
 
     Parts in it that have none of the ``names`` stay as they are.
     """
@@ -182,7 +182,8 @@ def chosen(
 
 def near_miss(name: str, options: Iterable[str], *, listed: bool = True) -> str:
     """Return ``"Did you mean 'viscosity'?"`` if a name is near, and the list of all names."""
-    names = {option.lower(): option for option in options}
+    known = list(dict.fromkeys(options))
+    names = {option.lower(): option for option in known}
     word = str(name).lower()
     near = (
         [option for option in _MEANT.get(word, ()) if option in names]
@@ -191,7 +192,7 @@ def near_miss(name: str, options: Iterable[str], *, listed: bool = True) -> str:
     )
     parts = [f"Did you mean '{names[near[0]]}'?"] if near else []
     if listed:
-        parts.append(f"Allowed: {_listed(list(names.values()))}")
+        parts.append(f"Allowed: {_listed(known)}")
     return " ".join(parts)
 
 
@@ -243,10 +244,15 @@ def read_named(value: object, path: str, one: Callable[[Any, str], V]) -> Tables
     return Tables({name: one(entry, f"{path}.{name}") for name, entry in entries})
 
 
+_ABSENT: Final = ("off", "no", "none", "false")
+
+
 def mapping(value: object, path: str, hint: str = "") -> dict[str, Any]:
     """Return a copy of a table, or raise ``SceneError``."""
     if not isinstance(value, Mapping):
         asked = hint or "Its entries have names: NAME = VALUE, a line for each."
+        if value is False or (isinstance(value, str) and value.lower() in _ABSENT):
+            asked = f"A scene without it has no such table (--set {path}= takes it out)."
         raise SceneError(path, f"is {shown(value)}, must be a table", asked)
     if not all(isinstance(key, str) for key in value):
         raise SceneError(path, "has keys that are not text, must be a table")

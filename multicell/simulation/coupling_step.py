@@ -1,6 +1,6 @@
 """One coupling step: from the state of a run to the next one.
 
-The data goes one way: growth rates from what the cells find around them, motion while the radii
+The data goes one way: growth rates from the signals of cells, motion while the radii
 grow, then all events (division, removal), then the nutrient field of the new configuration, and
 from it the cells' new states. So a frame taken between two steps is consistent: its concentrations
 are those of its own cells.
@@ -21,6 +21,7 @@ from multicell.biology.exposure import Exposure, remainders
 from multicell.biology.growth import growth_factor, lag_after
 from multicell.biology.states import irradiate
 from multicell.biology.step import age_cells, bind_changed, decide, divide_and_remove, grow
+from multicell.biology.surface import check_surface_held
 from multicell.biology.waiting import watched
 from multicell.cells import contact_rows
 from multicell.mechanics import neighbours
@@ -111,21 +112,23 @@ def next_state(run: Machinery, state: RunState) -> RunState:
 
 
 def _moved(
-    run: Machinery, state: RunState, found: Signals, end: float, radius: FloatArray
+    run: Machinery, state: RunState, signals: Signals, end: float, radius: FloatArray
 ) -> tuple[Moved, Mapping[str, float] | None]:
     """Return the moved cells, and when a pull has parted them."""
-    begin, step = state.timeline.time, state.timeline.step
-    motion = run.motion(state, found, begin, end, radius)
-    moved = run.mover.move(state.cells, motion, step, state.replays, state.stability)
+    begin, step_index = state.timeline.time, state.timeline.step_index
+    motion = run.motion(state, signals, begin, end, radius)
+    moved = run.mover.move(state.cells, motion, step_index, state.replays, state.stability)
+    if run.plan.surface_tension > 0.0:
+        check_surface_held(state.cells, moved.position, begin)
     pull, none_left = run.scene.pull, moved.contacts is not None and not len(moved.contacts)
     if pull is None or not none_left or not len(state.contacts):
         return moved, state.separation
-    time = _parting(run, replace(state, stability=moved.stability), found, end, radius)
+    time = _parting(run, replace(state, stability=moved.stability), signals, end, radius)
     return moved, {"time": time, "force": pull.load(time)}
 
 
 def _parting(
-    run: Machinery, state: RunState, found: Signals, end: float, radius: FloatArray
+    run: Machinery, state: RunState, signals: Signals, end: float, radius: FloatArray
 ) -> float:
     """Return when in a step the last contact breaks, s: halving it until the time is known."""
     cells, begin = state.cells, state.timeline.time
@@ -133,8 +136,8 @@ def _parting(
     while high - low > _GRAIN * (end - begin):
         middle = 0.5 * (low + high)
         grown = cells.radius + (middle - begin) / (end - begin) * (radius - cells.radius)
-        motion = run.motion(state, found, begin, middle, grown)
-        moved = run.mover.move(cells, motion, state.timeline.step, None, state.stability)
+        motion = run.motion(state, signals, begin, middle, grown)
+        moved = run.mover.move(cells, motion, state.timeline.step_index, None, state.stability)
         joined = moved.contacts is not None and len(moved.contacts) > 0
         low, high = (middle, high) if joined else (low, middle)
     return high
@@ -168,7 +171,7 @@ def _after_events(
     """Return the cells at the end of a step after division and removal, sorted where it is due."""
     plan, begin, end, first = run.plan, state.timeline.time, timeline.time, state.next_id
     here: Signals = {}
-    if plan.adhesion is not None:
+    if plan.receptors is not None:
         here = run.signals(state.cells, contacts, begin)
     aged, lost = age_cells(plan, state.cells, grown, here, begin, end)
     aged = aged.changed(position=moved.position, pressure=moved.pressure)
@@ -204,9 +207,9 @@ def sorted_in_space(
 
 @final
 class _Lived(NamedTuple):
-    """The cells after all that they do about what they find, as in :class:`_People`.
+    """The cells after all responses to their signals, as in :class:`_People`.
 
-    - ``exposure``: what they have found; ``met``: when what they wait for in networks came true
+    - ``exposure``: to their signals; ``met``: when what they wait for in networks came true
     """
 
     cells: Cells
@@ -221,12 +224,12 @@ def _exposed(
     run: Machinery,
     state: RunState,
     people: _People,
-    found: Signals,
+    signals: Signals,
     timeline: Timeline,
     jumps: bool,
     lap: Laps,
 ) -> _Lived:
-    """Bring the fields through a step, and let cells do what follows from what they find.
+    """Bring the fields through a step, and let cells respond to their signals.
 
     Where rates have killed cells, transient fields are brought through it once more, now with
     these cells until they died.
@@ -242,13 +245,14 @@ def _exposed(
     if plan.networks is not None:
         followed = followed | plan.networks.inputs
     marches, until = fields.marches, cast(Any, 1.0)
-    again = marches and (plan.acting or jumped)
-    attempt = run, state, people, found, timeline, fields.steady if jumps else (), followed, lap
+    attempt = run, state, people, signals, timeline, fields.steady if jumps else (), followed, lap
     exposure, decided, correction, met = _attempt(*attempt, until)
-    if again and np.count_nonzero(decided.died):
+    died = np.count_nonzero(decided.died)
+    if died and marches and (plan.acting or jumped):
         until = np.where(decided.died, 1.0 - decided.cells.age / (end - begin), 1.0)
         fields.state = state.fields
         exposure, decided, correction, met = _attempt(*attempt, until)
+    only_then = np.count_nonzero(decided.died) - died  # deaths that the first solution misses
     cells, dead, released = decided
     lineage, exposures = people.lineage, state.exposures
     if np.count_nonzero(dead):
@@ -259,6 +263,8 @@ def _exposed(
         fields.give_back(before, cells, late)
     if plan.acting:
         exposures = remainders(plan, exposure, exposures, jumped=jumped)
+        # one more pass would let about as many more die as the second one has
+        exposures["error"] -= only_then
     if correction is not None:
         exposures = {**exposures, "networks": correction}
     cells, rows = mutate_as_found(plan, cells, exposure, people.next_id)
@@ -292,7 +298,7 @@ def _attempt(
     predicted, ahead, correction, met = cells, None, None, None
     threads = run.mover.system.threads
     if networks is not None and networks.change_fields:
-        # the fields need what networks do at the end of the step
+        # the fields need the rates of networks at the end of the step
         predicted = cells.shared()
         ahead = networks.shares_ahead(predicted, end - begin)
         networks.advance(

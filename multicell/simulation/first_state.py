@@ -100,7 +100,7 @@ def begun(run: Machinery, cells: Cells, lineage: Lineage, *, given_states: bool)
 
 
 def _with_networks(run: Machinery, state: RunState) -> RunState:
-    """Return a state whose cells have networks that are set by what these find at the start.
+    """Return a state whose cells have networks that are set by their signals at the start.
 
     Raises NutrientFailed where networks and the fields that they change do not settle.
     """

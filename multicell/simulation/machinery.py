@@ -1,7 +1,6 @@
 """Machinery of a run: biology's plan, mechanics and its integrator, fields, clocks.
 
-It holds nothing of a run from step to step. What its parts have of a state is loaded into them
-before they are used.
+It holds nothing of a run from step to step. Parts of a state are loaded into it before use.
 """
 
 from __future__ import annotations
@@ -40,18 +39,18 @@ def fields_of(
     if networks is None or not networks.change_fields:
 
         def respond(
-            behaviour: str, cells: Cells, found: Mapping[str, FloatArray]
+            behaviour: str, cells: Cells, signals: Mapping[str, FloatArray]
         ) -> FloatArray | None:
-            return value_of(plan, behaviour, 1.0, found, cells, early=True)
+            return value_of(plan, behaviour, 1.0, signals, cells, early=True)
 
         return FieldSystem(scene, reactions, threads, respond)
 
     def respond_inside(
-        behaviour: str, cells: Cells, found: Mapping[str, FloatArray]
+        behaviour: str, cells: Cells, signals: Mapping[str, FloatArray]
     ) -> FloatArray | None:
         needs = {name for part in plan.responses.get(behaviour, ()) for name in part.needs}
-        inside = networks.signals(needs - {*found}, cells, system.time, lambda: _NOBODY)
-        return value_of(plan, behaviour, 1.0, {**found, **inside}, cells, early=True)
+        inside = networks.signals(needs - {*signals}, cells, system.time, lambda: _NOBODY)
+        return value_of(plan, behaviour, 1.0, {**signals, **inside}, cells, early=True)
 
     system = FieldSystem(scene, reactions, threads, respond_inside, networks.fluxes)
     return system
@@ -104,14 +103,14 @@ class Machinery:
         """Return the signals that the cells of a state find."""
         return self.signals(state.cells, state.contacts, state.timeline.time)
 
-    def growth(self, state: RunState, found: Signals) -> FloatArray:
+    def growth(self, state: RunState, signals: Signals) -> FloatArray:
         """Return how fast cells of a state would grow where they find this, (n,)."""
         if state.growth is not None:
             return state.growth
-        return growth_factor(self.plan, found, state.cells.pressure, state.cells)
+        return growth_factor(self.plan, signals, state.cells.pressure, state.cells)
 
     def motion(
-        self, state: RunState, found: Signals, begin: float, end: float, radius: FloatArray
+        self, state: RunState, signals: Signals, begin: float, end: float, radius: FloatArray
     ) -> Motion:
         """Return how the cells of a state move between two times, s, at whose end they have radii.
 
@@ -124,7 +123,7 @@ class Machinery:
             radius,
             begin,
             end,
-            signals=found,
+            signals=signals,
             gradients=gradients,
             contacts=state.contacts,
             named=state.named,

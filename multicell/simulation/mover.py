@@ -74,13 +74,13 @@ class Mover:
         self,
         cells: Cells,
         motion: Motion,
-        step: int,
+        step_index: int,
         replays: Replays | None,
         known: Stability | None,
     ) -> Moved:
         """Integrate the positions through a coupling step.
 
-        - ``replays``, ``known``: what earlier steps have shown
+        - ``replays``, ``known``: results of earlier steps
 
         Raises StepFailed if the integrator fails, a cell leaves the domain, or the method's step is
         too long.
@@ -92,7 +92,7 @@ class Mover:
         if motion.diffusion is not None:
             return self._shake(cells, motion, motion.diffusion, replays, known)
         moved, reached, cost = self._integrate(cells.id, cells.position, motion, known)
-        replays = self._replay(cells, reached, cost, step, replays)
+        replays = self._replay(cells, reached, cost, step_index, replays)
         return moved._replace(replays=replays)
 
     def _integrate(
@@ -182,8 +182,8 @@ class Mover:
             return None
         system, n, end = self.system, len(position), self.system.motion.end
         known = known._replace(total=known.total + cost)
-        step = self._fixed_step()
-        product = self.limit / step
+        dt = self._fixed_step()
+        product = self.limit / dt
         was_beyond, suspect = known.rate > product, False
         if not was_beyond and stability.may_glance(known, n):
             known = stability.add_glance(known, n)
@@ -192,7 +192,7 @@ class Mover:
             return known
         rate = stability.rate_at(system, end, position, self._dimensions)
         if was_beyond and rate > product:
-            words = stability.refusal_words(self.integrator, step, self.limit, rate)
+            words = stability.refusal_words(self.integrator, dt, self.limit, rate)
             raise StepFailed(system.motion.begin, *words)
         return stability.add_measurement(known, rate, product, n)
 
@@ -202,7 +202,7 @@ class Mover:
         return stability.actual_step(self.integrator, motion.end - motion.begin)
 
     def _replay(
-        self, cells: Cells, end: FloatArray, cost: float, step: int, replays: Replays | None
+        self, cells: Cells, end: FloatArray, cost: float, step_index: int, replays: Replays | None
     ) -> Replays | None:
         """Take the step again from shifted positions where that is due, and note the effect."""
         if replays is None:
@@ -210,6 +210,8 @@ class Mover:
         effect, spent = None, 0.0
         if replays.due:
             begin = cells.position
-            shifted = shifted_positions(begin, SHIFT, self._seed, step, cells.id, self._dimensions)
+            shifted = shifted_positions(
+                begin, SHIFT, self._seed, step_index, cells.id, self._dimensions
+            )
             effect, spent = replay_step(self.integrator, self.system, begin, end, shifted)
         return replays.after(cost, spent, effect)

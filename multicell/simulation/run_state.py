@@ -75,7 +75,7 @@ class RunState:
 
     - ``cells``: at the time of the state
     - ``timeline``: where the run is in time
-    - ``fields``: solutions, accounts, and what cells find
+    - ``fields``: solutions, accounts, and concentrations at cells
     - ``contacts``, (m, 2): identities of the pairs in contact: what exact JKR remembers, and others
       count
     - ``lineage``: births, deaths and ends so far
@@ -90,10 +90,10 @@ class RunState:
       from (:func:`multicell.biology.exposure.remainders`)
     - ``named``, table of the scene -> (k,) identities: cells that are driven from outside because
       of who or where they were at the start
-    - ``replays``: what small shifts have done to the ends of steps that were taken twice; None to
+    - ``replays``: effects of small shifts on the ends of steps that were taken twice; None to
       take none
     - ``stability``: how far a fixed step was from its limit; None where the method has no limit
-    - ``work``: counts of what the integration has cost
+    - ``work``: counts of the cost of integration
     - ``cavity``, µm: radius to which cells have widened a gel, where its next one is looked for;
       None without a gel
     - ``inside``: names of the columns of ``cells.inside``, of the networks in cells
@@ -161,9 +161,9 @@ class RunState:
 
     def view(self) -> Frame:
         """Return it as a frame without fields and what only those need who resume from it."""
-        time, step = self.timeline.time, self.timeline.step
+        time, step_index = self.timeline.time, self.timeline.step_index
         found = self.fields.concentrations
-        return Frame(time, step, self.cells, found, contacts=self.contacts)
+        return Frame(time, step_index, self.cells, found, contacts=self.contacts)
 
     def with_cells(self, cells: Cells, kinds: int) -> RunState:
         """Return the state with cells as a user has left them, in arrays of its own.

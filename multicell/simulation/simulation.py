@@ -16,12 +16,15 @@ from multicell.errors import NutrientFailed, SceneError, StepFailed
 from multicell.host.interrupts import UNCUT, WHOLE_STEP
 from multicell.results import summary
 from multicell.results.lineage import Lineage
+from multicell.results.observable import TissueState
 from multicell.scene.ranges import check_memory
+from multicell.scene.scene import Scene
 from multicell.simulation.assembly import apart_at_start
 from multicell.simulation.coupling_step import next_state
 from multicell.simulation.first_state import begun, resumed
 from multicell.simulation.machinery import Machinery
 from multicell.simulation.timeline import PhaseTimer
+from multicell.units import shown
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
@@ -35,7 +38,6 @@ if TYPE_CHECKING:
     from multicell.nutrient.fields import FieldSystem
     from multicell.nutrient.reactions.own import OwnReaction
     from multicell.results.frame import Field, Frame
-    from multicell.scene.scene import Scene
     from multicell.simulation.mover import Mover
     from multicell.simulation.run_state import RunState
     from multicell.simulation.timeline import Timeline
@@ -83,6 +85,9 @@ class Simulation:
         integrator: Integrator | None = None,
         reactions: Mapping[str, OwnReaction] | None = None,
     ) -> None:
+        if not isinstance(scene, Scene):
+            problem = f"the scene is {shown(scene)}, must be a Scene"
+            raise SceneError("", problem, "multicell.load_scene makes one of a name or a path.")
         if cells is not None and not isinstance(cells, Cells):
             from multicell.scene.start_table import with_cells
 
@@ -168,7 +173,8 @@ class Simulation:
         replays = state.replays
         shift = replays.latest if replays is not None and replays.done else math.nan
         extra = {"shift_effect": shift, "stability_ratio": ratio}
-        extra |= run.field_system.columns(state.cells)
+        tissue = TissueState(state.view(), self.scene)
+        extra |= run.field_system.columns(tissue.cells, tissue.extent)
         if run.plan.acting:
             extra["splitting_events_error"] = abs(state.exposures.get("error", 0.0))
         if run.plan.networks is not None and run.plan.networks.change_fields:
@@ -176,7 +182,7 @@ class Simulation:
         if self.scene.motions:
             now = self._motion(self.time, self.time, state.cells.radius)
             extra |= driven.columns(run.plan, state.cells, state.named, self.mechanics, now)
-        return summary.history_row(self.scene, state.view(), **extra)
+        return summary.history_row(tissue, **extra)
 
     def energy(self) -> float:
         """Return the contact energy of the cells, fJ."""
@@ -246,7 +252,7 @@ class Simulation:
     @property
     def step_index(self) -> int:
         """Number of coupling steps done."""
-        return self._state.timeline.step
+        return self._state.timeline.step_index
 
     @property
     def steps(self) -> int:

@@ -17,12 +17,12 @@ class Timeline(NamedTuple):
     """The time of a run.
 
     - ``plan``: its coupling steps
-    - ``step``: number of coupling steps done
+    - ``step_index``: number of coupling steps done
     - ``time``, s: simulated
     """
 
     plan: StepPlan
-    step: int = 0
+    step_index: int = 0
     time: float = 0.0
 
     @classmethod
@@ -32,7 +32,7 @@ class Timeline(NamedTuple):
 
     def after_step(self) -> Timeline:
         """Return the time after the next step."""
-        return Timeline(self.plan, self.step + 1, self.next_time)
+        return Timeline(self.plan, self.step_index + 1, self.next_time)
 
     @property
     def next_time(self) -> float:
@@ -47,7 +47,7 @@ class Timeline(NamedTuple):
     @property
     def steps(self) -> int:
         """Number of coupling steps to the run's end."""
-        return self.step + self.plan.steps_after(self.time)
+        return self.step_index + self.plan.steps_after(self.time)
 
     @property
     def is_over(self) -> bool:

@@ -85,11 +85,11 @@ def costs_of(plan: Plan, folder: Path) -> list[Cost]:
     known = _read_known(folder / EXPECTED_FILE)
     names = plan.names[:: plan.seeds]
     costs = [known.get(name) for name in names]
-    step = -(-len(costs) // _MAX_PREDICTED)
+    stride = -(-len(costs) // _MAX_PREDICTED)
     found: list[Cost] = []
     for number, (cost, scene) in enumerate(zip(costs, plan.scenes, strict=True)):
         if cost is None:
-            cost = found[-1] if number % step else cost_of(scene)
+            cost = found[-1] if number % stride else cost_of(scene)
         found.append(cost)
     if None in costs and folder.is_dir():
         _store(folder / EXPECTED_FILE, names, found)

@@ -14,11 +14,13 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 from multicell.errors import ClusterError, ExitCode, MulticellError, OutputError, exit_code_of
+from multicell.host.call_stack import call_with_room
 from multicell.host.interrupts import WHOLE_STEP
 from multicell.plugins.named import own_fault
 from multicell.results.folder import (
@@ -460,11 +462,11 @@ def _forward(work: Task, place: Path, found: RunStatus, wanted: Callable[[], boo
         runner.record_resumed(place, options, planned=True)
     else:
         _empty(work, place)
-        runner.record_run(scene, options)
+        call_with_room(partial(runner.record_run, scene, options))
 
 
 def _empty(work: Task, place: Path) -> None:
-    """Remove what a run has left that was killed before its first frame; set aside damage."""
+    """Remove the folder of a run that was killed before its first frame; set aside damage."""
     if not place.is_dir():
         return
     with lock_folder(place):

@@ -244,7 +244,7 @@ def _range(values: FloatArray) -> tuple[float, float]:
 
 
 def _draw_map(axes: Axes, mean: FloatArray, states: NDArray[Any], norm: Normalize) -> None:
-    """Draw tiles; what has no mean is grey, or red where it failed."""
+    """Draw tiles; points without a mean are grey, or red where runs failed."""
     failed = (states == "failed").any(axis=-1) & ~(states == of.RUN_DONE).any(axis=-1)
     missing = ListedColormap([_EMPTY, _FAILED])
     axes.pcolormesh(failed, cmap=missing, vmin=0, vmax=1, edgecolors="white")

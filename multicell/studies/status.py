@@ -43,8 +43,8 @@ STATES: Final = ("done", "running", "partial", "waiting", "failed")
 
 Kind = Literal["", "run", "machine", "damage", "unreadable"]
 """What a run failed for: nothing yet; its scene, which fails again; what is no matter of its scene,
-such as a full disk; a folder that holds something else than what was written to it; files that
-cannot be read now, of which nobody knows what they hold."""
+such as a full disk; a folder that holds something else than what was written to it; files of
+unknown content, which cannot be read now."""
 
 
 @final
@@ -201,7 +201,7 @@ def _unfinished_status(name: str, place: Path, state: str) -> RunStatus:
         return nothing
     last = contents.places[-1]
     cells = contents.history().get("cells", ())
-    row = min(last.step, len(cells) - 1)
+    row = min(last.step_index, len(cells) - 1)
     count = int(cells[row]) if row >= 0 else 0
     return RunStatus(name, state, "", count, last.time, frames=len(contents.places))
 

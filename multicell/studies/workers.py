@@ -259,7 +259,7 @@ def _close(client: Any, seconds: float = ANSWER) -> None:
 
 
 def check_workers(client: Any, scheduler: str) -> None:
-    """Refuse a cluster whose workers would not do what this process does."""
+    """Refuse a cluster whose workers would compute otherwise than this process."""
     try:
         threads = bounded(client.nthreads, ANSWER)
         answers = bounded(lambda: client.run(eval, _WHAT, on_error="return")) if threads else {}

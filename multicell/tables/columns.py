@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -112,7 +113,7 @@ def _array(column: Any, place: str) -> NDArray[Any]:
 
 
 def _gathered(titles: Sequence[str], arrays: Iterable[Any], name: str) -> Columns:
-    _refuse_twins(titles, name)
+    refuse_twins(titles, name)
     found: dict[str, NDArray[Any]] = {}
     for title, array in zip(titles, arrays, strict=True):
         if np.ndim(array) != 1:
@@ -153,9 +154,11 @@ def _text(value: Any) -> str:
     return "" if isinstance(value, Number) and text.lower() in ("nan", "snan") else text
 
 
-def _refuse_twins(titles: Sequence[str], name: str) -> None:
+def refuse_twins(titles: Sequence[str], name: str) -> None:
+    """Raise ``DataError`` for two columns of one title."""
+    times = Counter(titles)  # a table may have a column for each of many thousand cells
     for title in titles:
-        if titles.count(title) > 1:
+        if times[title] > 1:
             raise DataError(f"{name}, '{title}'", "is the title of two columns")
 
 
@@ -195,7 +198,7 @@ def from_rows(
         again, rows = partial(iter, stored), iter(stored)
     _, titles = next(rows)
     places = [k for k, title in enumerate(titles) if wanted(title)]
-    _refuse_twins([titles[k] for k in places], name)
+    refuse_twins([titles[k] for k in places], name)
     rows = islice(rows, skip, None)
     parts: dict[int, list[NDArray[Any]]] = {place: [] for place in places}
     lines: list[NDArray[np.int64]] = []

@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 
 from multicell.errors import DataError, SceneError
 from multicell.host.extras import needs
-from multicell.tables.mapping import ColumnMap, equal_radius
+from multicell.tables.mapping import ColumnMap, equal_radius, mapped
 from multicell.units import unit_factor
 
 TIFF: Final = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # what a TIFF file begins with
 _LARGEST: Final = 8_000_000_000  # bytes of pixels
+_PACKED, _SMALL = 2_000, 2**26
+"""Bytes of pixels for each byte of a packed image, and those that any may have: labels pack well,
+and a damaged file may state any size."""
 _NEAREST: Final = 0.8
 """Distance of two centres over the sum of the radii from which on cells stay where they are: balls
 of the volume of cells that are not round overlap."""
@@ -24,13 +27,20 @@ _ROUNDS: Final = 500  # of moving overlapping balls apart: some 20 suffice for a
 
 
 def cells_of_image(
-    content: bytes, name: str, names: ColumnMap, frame: int | None
+    content: bytes,
+    name: str,
+    names: ColumnMap,
+    frame: int | None,
+    image: tuple[bytes, str] | None = None,
 ) -> tuple[dict[str, NDArray[Any]], str]:
     """Return places and radii of the cells in an image, and a description in words.
 
     - ``name``: of the file, for errors
-    - ``names``: may state ``pixel`` and ``slice``, else they are those of OME's or ImageJ's data
+    - ``names``: may state ``pixel`` and ``slice``, else they are those of OME's or ImageJ's data;
+      its columns may be made of intensities
     - ``frame``: of several; None: the first
+    - ``image``: content and name of the image that the labels are of: the mean over each cell is
+      the column ``intensity``, of several channels ``intensity_0``, ``intensity_1`` ...
 
     The radius is that of the ball of a cell's volume, in a plane of the disc of its area. Balls
     that overlap deeply move apart.
@@ -57,46 +67,43 @@ def cells_of_image(
             f"; {int((way > 0).sum()):,} cells that overlapped moved by {way[way > 0].mean():.2g} "
             f"µm, at most {way.max():.2g} µm"
         )
+    if image is not None:
+        brightness = _intensities(labels, axes, *image, frame)
+        named = ColumnMap(names.columns)
+        where = lambda row, title: f"{image[1]}, label {row + 1}"  # noqa: E731
+        columns |= mapped(brightness, named, where, image[1]) if names.columns else {}
+        columns |= brightness
+        said += f"; mean intensity of {image[1]} in {len(brightness)} channel"
+        said += "s" if len(brightness) > 1 else ""
     return columns | {"radius / um": radius}, said
+
+
+def _intensities(
+    labels: NDArray[Any], axes: str, content: bytes, name: str, frame: int | None
+) -> dict[str, NDArray[Any]]:
+    """Return the mean intensity of each label by channel."""
+    from skimage import measure
+
+    pixels, found, _, _ = _pixels(content, name, frame, channels=True)
+    if "C" in found:
+        pixels, found = np.moveaxis(pixels, found.index("C"), -1), found.replace("C", "")
+    if (found, pixels.shape[: len(axes)]) != (axes, labels.shape):
+        sizes = (" × ".join(map(str, shape)) for shape in (pixels.shape[: len(axes)], labels.shape))
+        problem = f"has {next(sizes)} pixels along {found}, its labels {next(sizes)} along {axes}"
+        raise DataError(name, problem)
+    regions: Any = measure.regionprops_table
+    table = regions(labels, intensity_image=pixels, properties=("intensity_mean",))
+    return {
+        title.replace("intensity_mean", "intensity").replace("-", "_"): column
+        for title, column in table.items()
+    }
 
 
 def _read(
     content: bytes, name: str, frame: int | None
 ) -> tuple[NDArray[Any], str, Mapping[str, float], int]:
     """Return labels, their axes (``ZYX`` or ``YX``), µm of a pixel by axis, number of frames."""
-    import tifffile
-
-    try:
-        with tifffile.TiffFile(io.BytesIO(content)) as file:
-            series = file.series[0]
-            if series.nbytes > _LARGEST:
-                raise DataError(name, f"has {series.nbytes:,} bytes of pixels, which is too much")
-            pixels, axes = series.asarray(), series.axes
-            sizes = _ome_sizes(file.ome_metadata) or _imagej_sizes(file)
-    except (tifffile.TiffFileError, IndexError, ValueError, OSError) as error:
-        raise DataError(name, f"is no TIFF image: {error}") from None
-    frames = 1
-    for axis in "TCSQI":
-        if axis not in axes:
-            continue
-        place = axes.index(axis)
-        count = pixels.shape[place]
-        if axis in "QI" and "Z" not in axes and "T" not in axes:
-            axes = axes.replace(axis, "Z")  # a stack whose axis nobody names
-            continue
-        if axis != "T" and count > 1:
-            problem = f"has {count} channels, must have one: the labels of cells"
-            raise DataError(name, problem, "Save the labels alone.")
-        frames = count if axis == "T" else frames
-        number = (frame or 0) if axis == "T" else 0
-        if not number < count:
-            problem = f"is {number}, which {name} does not have"
-            raise SceneError("frame", problem, f"It has frames from 0 to {count - 1}.")
-        pixels, axes = np.take(pixels, number, axis=place), axes.replace(axis, "")
-    if axes not in ("YX", "ZYX"):
-        raise DataError(name, f"has the axes {axes}, must have YX or ZYX")
-    if "Z" in axes and pixels.shape[0] == 1:
-        pixels, axes = pixels[0], "YX"
+    pixels, axes, sizes, frames = _pixels(content, name, frame, channels=False)
     if pixels.dtype.kind not in "ui":
         whole = pixels.dtype.kind == "f" and bool((pixels == np.floor(pixels)).all())
         if not whole:
@@ -107,6 +114,64 @@ def _read(
     if len(np.unique(pixels[pixels > 0])) == 1 and pixels.max(initial=0) in (1, 255):
         hint = "Label its regions first, for example by skimage.measure.label."
         raise DataError(name, "is a mask: all cells have one label", hint)
+    return pixels, axes, sizes, frames
+
+
+def _pixels(
+    content: bytes, name: str, frame: int | None, *, channels: bool
+) -> tuple[NDArray[Any], str, Mapping[str, float], int]:
+    """Return pixels of one frame, their axes, µm of a pixel by axis, number of frames.
+
+    - ``channels``: whether there may be several, along an axis ``C``
+    """
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(io.BytesIO(content)) as file:
+            places: set[int] = set()
+            for page in file.pages:  # tifffile follows a chain that returns to itself without end
+                if page.offset in places:
+                    raise DataError(name, "has pages that lead back to one before: it is damaged")
+                places.add(page.offset)
+            series = file.series[0]
+            if series.nbytes > _LARGEST:
+                raise DataError(name, f"has {series.nbytes:,} bytes of pixels, which is too much")
+            packed = series.keyframe.compression != 1
+            most = _SMALL + _PACKED * len(content) if packed else len(content)
+            if series.nbytes > most:  # tifffile fills what is not there with zeros
+                problem = f"states {series.nbytes:,} bytes of pixels, which its {len(content):,}"
+                raise DataError(name, f"{problem} bytes cannot hold: it is cut off or damaged")
+            pixels, axes = series.asarray(), series.axes
+            sizes = _ome_sizes(file.ome_metadata) or _imagej_sizes(file)
+    except DataError:
+        raise
+    except Exception as error:  # a damaged file fails anywhere in the library
+        raise DataError(name, f"is no TIFF image: {error!s:.200}") from None
+    frames = 1
+    for axis in "TCSQI":
+        if axis not in axes:
+            continue
+        place = axes.index(axis)
+        count = pixels.shape[place]
+        if axis in "QI" and "Z" not in axes and "T" not in axes:
+            axes = axes.replace(axis, "Z")  # a stack whose axis nobody names
+            continue
+        if channels and axis in "CS" and count > 1 and "C" not in axes.replace(axis, "", 1):
+            axes = axes.replace(axis, "C")
+            continue
+        if axis != "T" and count > 1:
+            problem = f"has {count} channels, must have one: the labels of cells"
+            raise DataError(name, problem, "Save the labels alone.")
+        frames = count if axis == "T" else frames
+        number = (frame or 0) if axis == "T" else 0
+        if not number < count:
+            problem = f"is {number}, which {name} does not have"
+            raise SceneError("frame", problem, f"It has frames from 0 to {count - 1}.")
+        pixels, axes = np.take(pixels, number, axis=place), axes.replace(axis, "")
+    if axes.replace("C", "") not in ("YX", "ZYX"):
+        raise DataError(name, f"has the axes {axes}, must have YX or ZYX")
+    if "Z" in axes and pixels.shape[axes.index("Z")] == 1:
+        pixels, axes = pixels.take(0, axis=axes.index("Z")), axes.replace("Z", "")
     return pixels, axes, sizes, frames
 
 
@@ -185,9 +250,9 @@ def _relaxed(place: NDArray[np.float64], radius: NDArray[np.float64]) -> NDArray
             break
         first, second = first[near], second[near]
         push = 0.5 * ((least - distance)[near] / distance[near])[:, None] * apart[near]
-        step = np.zeros_like(place)
-        np.subtract.at(step, first, push)
-        np.add.at(step, second, push)
+        shift = np.zeros_like(place)
+        np.subtract.at(shift, first, push)
+        np.add.at(shift, second, push)
         counts = np.bincount(np.concatenate([first, second]), minlength=len(place))
-        place += step / np.maximum(counts, 1)[:, None]
+        place += shift / np.maximum(counts, 1)[:, None]
     return place

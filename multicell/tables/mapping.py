@@ -18,8 +18,10 @@ from multicell.host.files import parse_toml, read_text
 from multicell.schema import near_miss
 from multicell.units import unit_factor
 
-SETTINGS: Final = ("pixel", "slice", "sheet")
-"""Names that say something of the whole table: lengths of a pixel and of a slice, Excel's sheet."""
+SETTINGS: Final = ("pixel", "slice", "sheet", "image")
+"""Names that say something of the whole table: lengths of a pixel and of a slice, Excel's sheet,
+and the file of the image that labels are of.
+"""
 _MAX_BYTES: Final = 1_000_000  # of a TOML file that names columns
 _ITEM: Final = re.compile(r"""((?:[^,"']|"[^"]*"|'[^']*')*)(?:,|$)""")
 _SIZE: Final = re.compile(r"(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+)?\s*(.*)")

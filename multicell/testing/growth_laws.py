@@ -103,9 +103,9 @@ def _check_additivity(law: GrowthLaw) -> None:
 
 
 def _check_rate(law: GrowthLaw) -> None:
-    volume, step = np.linspace(1.0, 2.0, 21), 1e-4
-    ends = [law.volume_after(volume, np.full(21, sign * step)) for sign in (-1.0, 1.0)]
-    slope, rate = (ends[1] - ends[0]) / (2.0 * step), law.rate(volume)
+    volume, h = np.linspace(1.0, 2.0, 21), 1e-4
+    ends = [law.volume_after(volume, np.full(21, sign * h)) for sign in (-1.0, 1.0)]
+    slope, rate = (ends[1] - ends[0]) / (2.0 * h), law.rate(volume)
     off = float(np.abs(slope - rate).max() / np.abs(rate).max())
     require(off <= _SLOPE, f"its volume does not change at its rate: off by {off:.2g} of it")
     birth = 261.8

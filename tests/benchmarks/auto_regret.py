@@ -1,4 +1,4 @@
-"""What `auto` costs over the best method, in coupling steps of real runs of all built-in scenes.
+"""Cost of `auto` over the best method, in coupling steps of real runs of all built-in scenes.
 
 Problem   coupling steps of each built-in scene that moves cells, of scenes known to be hard to
           choose for, and (--invented) of scenes that no choice was tuned on. A run by the scene's
@@ -230,7 +230,7 @@ def regrets(rows: list[Row]) -> list[Row]:
 
 
 def floor(rows: list[Row], sure: list[Row]) -> list[float]:
-    """Return what the best method of a step costs in the step beside, over the best one's there."""
+    """Return the cost of a step's best method in the step beside, over the best one's there."""
     place = {r["step"]: int(r["step"].split("(")[1].split()[0]) for r in sure}
     found = []
     for here in sure:

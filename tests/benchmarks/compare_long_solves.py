@@ -1,4 +1,4 @@
-"""What CVODE would gain at most if it lived on from one coupling step to the next.
+"""The most that CVODE would gain if it lived on from one coupling step to the next.
 
 Problem: `grow-2000` at some viscosities with about 800 cells that grow for an hour in which none
 divides: one solve over the hour beside six over ten minutes each, from the same state. A division

@@ -1,4 +1,4 @@
-"""What uptake at the nodes costs in accuracy, and what uptake at the cells would cost in sign.
+"""Cost of uptake at the nodes in accuracy, and of uptake at the cells in sign.
 
 Problem: 3000 cells at random in a ball of 150 µm with 50 µm of medium round it, shells, D = 2000
 µm²/s, K = 0.005 mM, 0.05 mM outside, 100 or 1000 amol/s each, or absurd 1e7. Two schemes on the

@@ -2,7 +2,9 @@
 
 The network is the cell cycle of Alarcon 2004, driven by oxygen, which divides the cells; both
 scenes have the oxygen. Steps of both are taken in turn, in CPU time on one thread, so that a busy
-machine slows both. The first hours compile, and bring cells out of step; they do not count.
+machine slows both; a cell's cost is compared, since one scene may have more cells than the other.
+Cells begin in one state of the cycle, which costs most while they pass from one of its branches to
+the other: the rounds are to be a whole cycle. The first hours compile and do not count.
 Cost: a minute at 5,000 cells.
 Command: python tests/benchmarks/network_cost.py [--cells 5000] [--rounds 9] [--skipped 10]
 """
@@ -10,15 +12,15 @@ Command: python tests/benchmarks/network_cost.py [--cells 5000] [--rounds 9] [--
 from __future__ import annotations
 
 import argparse
-import statistics
 import sys
 import time
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
+sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
+
+from cycling_networks import alarcon
 
 import multicell as mc
-from tests.helpers.cycling_networks import alarcon
 
 STEPS = 6  # of ten minutes, in an hour
 
@@ -60,22 +62,28 @@ def main():
     for simulation in both:
         for _ in range(STEPS * given.skipped):
             simulation.step()
-    before = both[1].plan.networks.parts["cycle"].solver.work[0]
-    taken = [[], []]
+    before = steps_of(both[1])
+    taken, cells = [0.0, 0.0], [0, 0]
     for _ in range(STEPS * given.rounds):
-        for simulation, times in zip(both, taken, strict=True):
+        for k, simulation in enumerate(both):
             begin = time.process_time()
             simulation.step()
-            times.append(time.process_time() - begin)
-    hours = [STEPS * statistics.fmean(times) for times in taken]
-    more = hours[1] - hours[0]
-    cells = len(both[1].cells)
-    work = both[1].plan.networks.parts["cycle"].solver.work
-    print(f"cells: {len(both[0].cells)} without, {cells} with; divisions {both[1].divisions}")
-    print(f"an hour without the network: {hours[0]:.2f} s of CPU")
-    print(f"an hour with it:             {hours[1]:.2f} s, {100 * more / hours[0]:+.0f} %")
-    print(f"the network: {1e6 * more / STEPS / cells:.2f} us a cell and step")
-    print(f"steps of the solver a cell and step: {(work[0] - before) / cells / len(taken[1]):.2f}")
+            taken[k] += time.process_time() - begin
+            cells[k] += len(simulation.cells)
+    base, driven = (1e6 * time / count for time, count in zip(taken, cells, strict=True))
+    for word, k in (("without", 0), ("with", 1)):
+        count, hour = cells[k] / STEPS / given.rounds, taken[k] / given.rounds
+        print(f"an hour {word} the network: {hour:.2f} s of CPU, {count:.0f} cells in the mean")
+    print(f"a cell and step: {base:.2f} us without, {driven:.2f} us with")
+    print(
+        f"the network: {driven - base:.2f} us a cell and step, {100 * (driven / base - 1):+.0f} %"
+    )
+    print(f"steps of the solver a cell and step: {(steps_of(both[1]) - before) / cells[1]:.2f}")
+
+
+def steps_of(simulation):
+    """Return how many steps the solver of the network has taken in all cells."""
+    return simulation.plan.networks.parts["cycle"].solver.work[0]
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What explain foretells of whole runs beside what they take: population, time, memory, file.
+"""Predictions of explain compared with whole runs: population, time, memory, file.
 
 Each scene runs twice in processes of its own, on one thread: once to compile, once to measure. The
 ratios are foretold over measured; the constants are in ``multicell/report/explain/cost.py``.

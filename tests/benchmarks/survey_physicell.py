@@ -1,4 +1,4 @@
-"""How many PhysiCell settings of other people import and run, and why the others do not.
+"""Survey of PhysiCell settings of other people: how many import and run, and why not.
 
 Every XML file of settings below a folder is imported, and run with a part of its cells for some
 coupling steps. The script prints the reason of each that is refused or fails, what became of the
@@ -38,7 +38,7 @@ def shortened(made, cells, steps):
 
 
 def attempt(path, options):
-    """Return what became of a file, the reason, and the entries of its account."""
+    """Return the fate of a file, the reason, and the entries of its account."""
     try:
         made = mc.import_physicell(path)
     except mc.MulticellError as error:

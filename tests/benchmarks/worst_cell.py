@@ -310,7 +310,7 @@ class Truth:
         return self.known[f"end_{name}"]
 
     def moved(self, k, shift, error):
-        """Return what shifts do to the worst cell in step ``k``, µm: the most of twelve.
+        """Return the effect of shifts on the worst cell in step ``k``, µm: the most of twelve.
 
         Of fewer, if that is more than an error that it is compared with.
         """

@@ -1,4 +1,4 @@
-"""What a cell has that becomes another type: as one that was born so, and back again."""
+"""Columns of a cell that becomes another type: as one that was born so, and back again."""
 
 import math
 from dataclasses import fields
@@ -51,7 +51,26 @@ KEYS = {
     "secretion_scale": 3.0,
     "uptake_of": {"oxygen": 0.1},
     "secretion_of": {"signal": 0.1},
+    "quiescence_of": {"oxygen": 1e3},
+    "necrosis_of": {"oxygen": 1e3},
+    "division_radius_scale": 1.5,
     "motility_scale": 4.0,
+    "diffusion_scale": 3.0,
+    "chemotaxis_of": {"signal": -0.5},
+}
+
+
+# what some of them scale
+MOVED = {
+    "diffusion_scale": {"motility": {"force": 0.2, "persistence": 600.0, "diffusion": 1e-3}},
+    "chemotaxis_of": {"chemotaxis": {"signal": {"force": 0.2, "half": 1e-6}}},
+    **{
+        f"{key}_of": {
+            "nutrients": {"oxygen": {"boundary": 0.1, "spacing": 10.0, key: 1e-3}},
+            "cells": {"reaction_time": 60.0},
+        }
+        for key in ("quiescence", "necrosis")
+    },
 }
 
 
@@ -144,7 +163,7 @@ def test_each_key_of_a_type_acts_on_a_cell_that_has_become_it(key):
 
     def after(b):
         cycle = {"cycle_scale": "volume", "volume_doubling_time": "rate"}.get(key, "phases")
-        run = Simulation(scene(cycle, b), threads=1)
+        run = Simulation(scene(cycle, b, **MOVED.get(key, {})), threads=1)
         run.step()
         assert (run.cells.kind == 1).all()
         frame = run.frame()

@@ -144,7 +144,7 @@ def test_a_core_that_is_lost_closes(rested):
 
 @pytest.mark.slow
 def test_a_growing_rim_and_a_core_that_is_lost_balance():
-    """What grows less what is lost is the change of the ball, which stays packed and round."""
+    """Growth less loss is the change of the ball, which stays packed and round."""
     scene = mc.Scene.from_dict(
         {
             "duration": "14 d", "coupling_step": "1 h",
@@ -188,3 +188,20 @@ def test_wrong_surfaces_are_refused():
         scene.with_changes({"surface.tension": 0})
     with pytest.raises(SceneError, match=r"surface: has no meaning in a scene of 2 dimensions"):
         scene.with_changes({"dimensions": 2})
+
+
+def test_a_tension_that_throws_cells_about_in_one_step_is_refused():
+    """Held for 10 s it carries cells through each other, and out of the other side."""
+    scene = mc.load_scene("settle").with_changes(
+        {"initial.count": 9, "drag.viscosity": 0.005, "coupling_step": "10 s", "duration": "30 s",
+         "surface": {"tension": "0.5 nN/um"}}
+    )  # fmt: skip
+    with pytest.raises(mc.StepFailed, match=r"diameters in a coupling step, .* shorter coupling"):
+        mc.run(scene, threads=1)
+
+
+def test_cells_that_are_too_far_apart_for_the_grid_of_their_surface_are_refused():
+    cells = _ball(100).copy()
+    cells.position[0] += 1e5
+    with pytest.raises(mc.StepFailed, match="needs a grid of"):
+        surface_force(_plan(), cells, 60.0)

@@ -1,4 +1,4 @@
-"""Who grows is decided in one function: what is added there acts on volume, lag and cycle alike."""
+"""One function decides on growth: additions there act on volume, lag and cycle alike."""
 
 import importlib
 import pkgutil

@@ -1,4 +1,4 @@
-"""Whether intervals of fits cover what they say: truths drawn, data made from them, fitted again.
+"""Coverage of intervals of fits: truths drawn, data made from them, fitted again.
 
 ``--calibrations N`` repeats each case N times; what is checked then is that 80 and 95 % intervals
 of each parameter cover the truth as often, within three binomial standard errors.

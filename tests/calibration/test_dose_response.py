@@ -196,6 +196,9 @@ PAIR = {"dose": list(DOSES) * 2, "response": [*(1.0 - DOSES / 40.0)] * 2}
 TABLES = {
     "unknown title": ({"dosis": DOSES, "response": DOSES}, "Did you mean 'dose'"),
     "no response": ({"dose": DOSES}, "no column 'response'"),
+    "two of a name": (
+        {"dose": DOSES, "Dose": DOSES, "response": DOSES}, "has the name of another column, too"
+    ),
     "no control": ({"dose": DOSES[1:], "response": DOSES[1:]}, "dose 0, the control"),
     "too few": ({"dose": DOSES[:4], "response": DOSES[:4]}, "3 doses above 0 in 'dose'"),
     "negative": ({"dose": [-1.0, *DOSES], "response": [1.0, *DOSES]}, "a dose below 0"),
@@ -322,8 +325,11 @@ def test_a_run_that_fails_is_told_and_left_out(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("kind", "code"), [("machine", ExitCode.MACHINE), ("run", ExitCode.FAILED)]
 )
+@pytest.mark.parametrize("quiet", [[], ["--quiet"]])
 @pytest.mark.parametrize("lost", [1, 8])
-def test_runs_that_the_machine_has_stopped_are_its_failure(lost, kind, code, tmp_path, monkeypatch):
+def test_runs_that_the_machine_has_stopped_are_its_failure(
+    lost, kind, code, quiet, tmp_path, monkeypatch
+):
     """Also where too few are left for a curve, of which the runs themselves say nothing."""
     from multicell.studies.study import Study
 
@@ -345,7 +351,8 @@ def test_runs_that_the_machine_has_stopped_are_its_failure(lost, kind, code, tmp
     (tmp_path / "colony.toml").write_text(COLONY.to_toml())
     done = CliRunner().invoke(main, ["dose-response", str(tmp_path / "colony.toml"), "--dose",
                                      f"{DRUG}={RISING}", "--seeds", "2", "--cores", "1",
-                                     "-o", str(tmp_path / "out"), "--no-report"])  # fmt: skip
+                                     "-o", str(tmp_path / "out"),
+                                     "--no-report", *quiet])  # fmt: skip
     assert done.exit_code == code, done.output
     said = [line for line in done.output.splitlines() if line.startswith("Error: ")]
     assert len(said) == (kind == "machine" or lost == 8)

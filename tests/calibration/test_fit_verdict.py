@@ -49,12 +49,24 @@ def least(found):
     return min(e.misfit.chi_squared for e in found.evaluations)
 
 
-@pytest.mark.parametrize(
-    "seed", [*range(8), *(pytest.param(k, marks=pytest.mark.slow) for k in range(8, 30))]
-)
+@pytest.mark.parametrize("seed", range(8))
 def test_best_is_no_worse_than_the_best_run(seed):
-    """Thirty problems whose readings jump, so that an emulator misses what runs found."""
-    found = fitted(jumping(seed), points=30)
+    """Problems whose readings jump, so that an emulator misses what runs found."""
+    assert_no_worse(fitted(jumping(seed), points=30))
+
+
+@pytest.mark.harness
+@pytest.mark.slow
+def test_best_of_many_fits_is_no_worse_than_the_best_run(request):
+    """As many further problems as the option --calibrations asks for."""
+    count = request.config.getoption("--calibrations")
+    if count == 0:
+        pytest.skip("asked for with --calibrations N")
+    for seed in range(8, 8 + count):
+        assert_no_worse(fitted(jumping(seed), points=30))
+
+
+def assert_no_worse(found):
     assert found.best.chi_squared <= least(found) * (1.0 + 1e-9)
     if found.best.chi_squared > 40.0:
         assert found.notes[0] == found.misfit

@@ -1,4 +1,4 @@
-"""Where the runs of a fit are made: in which order, and what is said of those that are lost."""
+"""Processes that make the runs of a fit: their order, and reports of lost ones."""
 
 from concurrent.futures import Future
 

@@ -127,7 +127,7 @@ class Straight(Growing):
     """A diameter that grows by the same length each day, and the core of :class:`Growing`."""
 
     def mean(self, shares):
-        """Return what runs give without scatter, um: six times of each observable."""
+        """Return results of runs without scatter, um: six times of each observable."""
         rate, depth = shares
         size = 60.0 + 60.0 * np.arange(1.0, 7.0) * (0.05 + 0.25 * rate)
         return np.concatenate([size, np.maximum(size - 60.0 - 100.0 * depth, 0.0)])

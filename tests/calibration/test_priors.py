@@ -11,10 +11,11 @@ from cheap_fits import MATRIX, exact, linear
 from scipy import integrate, stats
 
 import multicell as mc
+from multicell.calibration.fitting.constraints import values_at
 from multicell.calibration.fitting.emulator import best_of, draws
 from multicell.calibration.fitting.fit import plan_fit
 from multicell.calibration.fitting.pool import Pool
-from multicell.calibration.fitting.priors import Density, Prior, values_at
+from multicell.calibration.fitting.priors import Density, Prior
 from multicell.calibration.fitting.problem import free_of
 from multicell.calibration.fitting.search import Search
 from multicell.calibration.fitting.simulator import SceneSimulator

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import sys
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -144,3 +146,36 @@ def test_posteriors_are_arrays_with_units_and_groups_of_arviz(fit):
     )
     assert np.asarray(found["posterior_predictive"]["data"]).shape[-1] == 12
     assert {"p0", "p1"} <= set(arviz.summary(found).index)
+
+
+def one_dictionary(data, **more):
+    """Take groups as ArviZ does from version 1 on."""
+    return "one", data, more
+
+
+def arguments(posterior=None, log_likelihood=None, posterior_predictive=None, observed_data=None):
+    """Take groups as ArviZ did before version 1."""
+    groups = {
+        "posterior": posterior,
+        "log_likelihood": log_likelihood,
+        "posterior_predictive": posterior_predictive,
+        "observed_data": observed_data,
+    }
+    return "arguments", groups, {}
+
+
+@pytest.mark.parametrize("from_dict", [one_dictionary, arguments])
+def test_both_ways_in_which_arviz_takes_groups_have_the_same(fit, from_dict, monkeypatch):
+    stand_in = ModuleType("arviz")
+    stand_in.from_dict = from_dict
+    monkeypatch.setitem(sys.modules, "arviz", stand_in)
+    monkeypatch.setattr("multicell.calibration.fitting.to_arviz.needs", lambda *names: None)
+    kind, groups, more = fit.to_arviz()
+    assert kind == {"one_dictionary": "one"}.get(from_dict.__name__, "arguments")
+    assert more == {}
+    draws = len(fit.posterior)
+    assert groups["posterior"]["p0"].shape == (1, draws)
+    np.testing.assert_array_equal(groups["posterior"]["p1"][0], fit.posterior["p1"])
+    assert groups["log_likelihood"]["data"].shape == (1, draws)
+    assert groups["posterior_predictive"]["data"].shape == (1, draws, 12)
+    assert groups["observed_data"]["data"].shape == (12,)

@@ -69,7 +69,7 @@ REFUSED = {
     (f"--vary={OXYGEN}=1 mM", f"--vary={OXYGEN}=2 mM"): "is given twice",
     ("--vary=nutrients.oxygen.necrosis=0.001,0.5 mM",):
         "(where nutrients.oxygen.necrosis = '0.5 mM')",
-    ("--seeds", "many"): "is not a valid integer",
+    ("--seeds", "many"): "must be a whole number",
     ("--set", "friction.normal=x"): "friction.normal",
     ("--set", "integrator=eular"): "Did you mean 'euler'",
     ("--law", "absent.py:x"): "there is no file",

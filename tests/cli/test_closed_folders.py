@@ -1,6 +1,7 @@
 """Compiled code is run: it comes from folders and files that are the user's own, or root's."""
 
 import os
+import shutil
 import subprocess
 import sys
 import warnings
@@ -153,24 +154,33 @@ print(sum(stencil.account.stats.cache_hits.values()))
 """
 
 
+def hits(cache):
+    """Return how many kernels a process has found in a folder for compiled code."""
+    done = subprocess.run(
+        [sys.executable, "-c", KERNEL],
+        env={**os.environ, "NUMBA_CACHE_DIR": str(cache)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return int(done.stdout)
+
+
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory):
+    """A closed folder in which a process finds what another has compiled."""
+    cache = tmp_path_factory.mktemp("compiled") / "cache"
+    cache.mkdir(mode=0o700)
+    assert [hits(cache), hits(cache)] == [0, 1]
+    return cache
+
+
 @as_root
 @pytest.mark.parametrize("ending", ["nbi", "nbc"])
 @pytest.mark.parametrize("how", ["owner", "mode", "link"])
-def test_files_of_others_in_a_closed_folder_are_not_read(tmp_path, ending, how):
+def test_files_of_others_in_a_closed_folder_are_not_read(compiled, tmp_path, ending, how):
     cache = tmp_path / "cache"
-    cache.mkdir(mode=0o700)
-
-    def hits():
-        done = subprocess.run(
-            [sys.executable, "-c", KERNEL],
-            env={**os.environ, "NUMBA_CACHE_DIR": str(cache)},
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        return int(done.stdout)
-
-    assert [hits(), hits()] == [0, 1]
+    shutil.copytree(compiled, cache)
     (file,) = cache.rglob(f"stencil.account-*.{ending}")
     if how == "owner":
         os.chown(file, NOBODY, NOBODY)
@@ -181,4 +191,4 @@ def test_files_of_others_in_a_closed_folder_are_not_read(tmp_path, ending, how):
         file.rename(elsewhere)
         file.symlink_to(elsewhere)
         os.chown(file, NOBODY, NOBODY, follow_symlinks=False)
-    assert [hits(), hits()] == [0, 1]
+    assert [hits(cache), hits(cache)] == [0, 1]

@@ -213,7 +213,7 @@ def test_what_never_ends_is_no_scene(command, tmp_path):
         ("x" * 5000 + ".toml", "cannot be read"),
         ("a\x00b.toml", "cannot be read"),
         ("\udcff.toml", "does not exist"),
-        ("", "is a folder, not a scene"),
+        ("", "a scene without a name"),
         (".", "is a folder, not a scene"),
     ):
         line = one_error(call(command, source, *output))

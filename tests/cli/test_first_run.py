@@ -1,5 +1,8 @@
-"""What a first run says: what is expected, what is compiled, what is left, and what is drawn."""
+"""Lines of a first run: its prediction, compilation, time left, and pictures."""
 
+import os
+import subprocess
+import sys
 import time
 from types import SimpleNamespace
 
@@ -13,7 +16,9 @@ from multicell.cli.progress import _Clock, fitting, reporter
 from multicell.compiling import COMPILATION
 from multicell.compiling.listeners import PARTS, part_of
 from multicell.compiling.numba_068 import is_on_disk
+from multicell.host import closed
 from multicell.mechanics import forces
+from multicell.mechanics.neighbours import updating
 from multicell.report.explain import compilation
 from multicell.report.explain.cost import predict
 
@@ -68,6 +73,48 @@ def test_a_first_run_says_what_it_is_going_to_be(capsys, monkeypatch):
     assert second == "The tissue so far: out/live.html"
 
 
+OPENING = """
+import os, sys
+from multicell.cli import progress
+from multicell.cli.main import main
+
+def first():
+    heavy = {"numba", "scipy.integrate._ivp", "scipy.optimize._optimize", "matplotlib", "h5py"}
+    print(sorted(heavy & set(sys.modules)))
+    sys.stdout.flush()
+    os._exit(0)
+
+progress.on_stderr = first
+main(["run", "spheroid", "-o", "out"])
+"""
+
+
+def test_a_first_run_speaks_before_numba_and_solvers_are_loaded(tmp_path):
+    """They take as long to load as all else before the first words."""
+    done = subprocess.run(
+        [sys.executable, "-c", OPENING], cwd=tmp_path, capture_output=True, text=True, check=False,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "empty")},
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (0, "[]\n")
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_files_of_code_are_looked_for_where_numba_keeps_them(named, tmp_path, monkeypatch):
+    monkeypatch.setattr(closed, "PACKAGE", str(tmp_path / "multicell"))
+    monkeypatch.setattr(closed, "_of_user", lambda name: str(tmp_path / name))
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path / "temporary"))
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    folder = tmp_path / "multicell" / "mechanics" / "__pycache__"
+    if named:
+        monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "code"))
+        folder = tmp_path / "code" / "mechanics_0123"
+    folder.mkdir(parents=True)
+    (folder / "forces.other-12.py311.nbi").touch()
+    assert not closed.may_be_on_disk("mechanics.forces", "forces")
+    (folder / "forces.forces-12.py311.nbi").touch()
+    assert closed.may_be_on_disk("mechanics.forces", "forces")
+
+
 def test_a_run_with_all_code_on_disk_does_not_wait_for_a_forecast(capsys, monkeypatch):
     monkeypatch.setattr(compilation, "missing_parts", lambda scene: {})
     monkeypatch.setattr(progress.Forecast, "of", lambda scene: pytest.fail("was made"))
@@ -81,6 +128,8 @@ def test_lists_of_many_cells_are_not_expected_of_few():
     few = SPHEROID.with_changes({"stop_cells": 100})
     assert "some 4 s to compile" in _Clock(few).foresee(missing)[0]
     assert "some 10 s to compile" in _Clock(SPHEROID).foresee(missing)[0]
+    # the forecast states it once more: to ask for it loads numba
+    assert compilation.LISTS_FROM == updating.REPAIR_FROM
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What people type in place of what a command takes: the message says what they meant."""
+"""Words that people type in place of a command's own: the message states the right ones."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""What those who use the package for the first time meet: notebooks, wrong times, wrong folders."""
+"""First use of the package: notebooks, wrong times, wrong folders."""
 
 import matplotlib.pyplot
 import pytest
@@ -73,7 +73,7 @@ def test_a_run_that_is_done_says_how_to_prolong_it(folder):
     ("given", "told"),
     [
         (["run", "spheroid", "-o", "out", "--set", "duration", "3 d"], "--set duration='…'"),
-        (["study", "new", "growth", "-o", "out", "--vary", "seed", "1,2"], "--vary seed='…'"),
+        (["study", "new", "growth", "-o", "out", "--vary", "seed", "1,2"], "--vary seed='VALUES'"),
     ],
 )
 def test_a_space_in_place_of_the_equals_sign_is_told(given, told):

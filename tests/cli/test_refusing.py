@@ -1,4 +1,4 @@
-"""What refusing costs: time and memory are bounded, whichever command is asked."""
+"""Cost of refusals: time and memory are bounded for every command."""
 
 import sys
 import tomllib

@@ -26,7 +26,7 @@ def forecast_of(times, cells, constant, slope):
 
 
 def predicted(cells, share, *, expected=None, noise=0.0, slower=1.0):
-    """Return what is predicted after a share of the steps, and what is true.
+    """Return the prediction after a share of the steps, and the truth.
 
     A step costs 1 ms and 20 µs a cell; the machine of the run may be slower.
     """

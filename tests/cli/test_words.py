@@ -1,4 +1,4 @@
-"""What commands and errors say where something else goes wrong, too."""
+"""Words of commands and errors where something else fails, too."""
 
 import json
 import logging

@@ -1,4 +1,4 @@
-"""What is wrong is answered with what to write, whatever a newcomer tries; nothing is written."""
+"""Wrong inputs of a newcomer: each message states the right input, and nothing is written."""
 
 import pytest
 from click.testing import CliRunner
@@ -45,6 +45,7 @@ SET = {
     "duration": "write the value without a space",
     "duration=twelve days": "must be a number and a unit",
     "timestep=1": "Did you mean 'coupling_step'",
+    "growth=off": "--set growth= takes it out",
     "integrator.tolerance=0": "Did you mean 'rtol'",
     "nutrients.oxygen.consumption=4 amol/s": "Did you mean 'uptake'",
     "nutrients.glucose.boundary=4.5 g/l": "1 g/l of glucose (180 g/mol) is 5.55 mM",
@@ -72,6 +73,17 @@ COMMANDS = {
     "dose-response --data dose.csv -o out": "Allowed: dose, response, replicate",
     "compare spheroid -o out --methods euler,rk5": "Did you mean 'rk4'",
     "runn spheroid": "Did you mean 'run'",
+    "spheroid": "multicell run spheroid -o out",
+    "scene.toml": "multicell run scene.toml -o out",
+    "workprecision settle": "multicell compare SCENE -o out",
+    "check spheroid": "multicell explain SCENE",
+    "study spheroid -o s": "multicell study new spheroid --vary KEY=VALUES -o study",
+    "study help": "multicell study --help",
+    "fit spheroid -o f": "Missing option '--data', for example --data",
+    "fit spheroid -o f --data comma.csv --free growth.cycle_time": "cycle_time='LOW:HIGH'",
+    "play spheroid --key oxygen": "--key oxygen='LOW:HIGH'",
+    "sensitivity spheroid -o s --vary growth.cycle_time=1:2": "Write --free",
+    "import settings.xml -o out": "multicell import physicell settings.xml -o out",
 }
 DATA = {
     "comma.csv": "Use '.' as decimal separator",
@@ -84,6 +96,8 @@ DATA = {
 }
 PYTHON = {
     "a number": (lambda: mc.run(5), "5"),
+    "a scene's name": (lambda: mc.Simulation("growth"), "multicell.load_scene makes one"),
+    "progress": (lambda: mc.run("growth", progress=5), "must be a function, True or False"),
     "key": (lambda: mc.load_scene("growth").with_changes({"growth.cycletime": 1}), "'cycle_time'"),
     "format": (lambda: mc.export("nothing", "out", format="exel"), "Allowed: csv"),
 }

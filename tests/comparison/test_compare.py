@@ -362,7 +362,8 @@ def test_the_folder_holds_table_pictures_and_page(failing, tmp_path):
     assert "out of &lt;steps&gt;" in page
     assert "out of <steps>" not in page
     assert "Two Hertz cells &lt;b&gt;part&lt;/b&gt;" in page
-    assert page.count("data:image/png;base64,") == 2
+    # two pictures, each for light and dark
+    assert page.count("data:image/png;base64,") == 4
     # pictures are written in letters that hold "http" now and then, but no colon
     assert "://" not in page
 

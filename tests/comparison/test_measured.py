@@ -1,4 +1,4 @@
-"""What a comparison has measured outlives a full disk, a kill and a page that cannot be made."""
+"""Measurements of a comparison outlive a full disk, a kill and a page that cannot be made."""
 
 import errno
 import os

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -88,7 +89,10 @@ def test_error_falls_with_the_tolerance_and_the_files_are_there(compared):
         assert rows[1e-9] < 1e-7 < rows[0.1]
     assert {file.name for file in folder.iterdir()} == set(NETWORK_FILES)
     assert not (folder / LOG_FILE).exists()
-    assert "times cheaper than" in result.verdict(1e-6)
+    # by CPU time, which on a busy machine may favour either of two methods that are close
+    assert re.fullmatch(
+        r"At 0\.0001 %: \S+, (\S+ times|no) cheaper than \S+\.", result.verdict(1e-6)
+    )
     assert mc.NetworkPrecision.read(folder / "workprecision.json").table == result.table
     assert "CVODE on one cell" in (folder / "report.html").read_text(encoding="utf-8")
 

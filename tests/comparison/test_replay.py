@@ -194,7 +194,8 @@ def test_one_cell_on_which_something_acts_is_compared():
 
 
 def noted(total, count):
-    """Return what a sampler keeps of a run of ``total`` steps, by the first coordinate."""
+    """Return the steps that a sampler keeps of a run of ``total`` steps, by the first
+    coordinate."""
 
     class Stays:
         def integrate(self, system, position):

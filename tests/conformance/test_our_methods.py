@@ -5,6 +5,8 @@ import pytest
 from multicell.integrators.registry import METHODS
 from multicell.testing import IntegratorTests
 
+pytestmark = pytest.mark.kernels
+
 
 class TestMethods(IntegratorTests):
     @pytest.fixture(params=METHODS)

@@ -58,6 +58,7 @@ def Bond(overlap, modulus, radius, p, rest):  # noqa: N802
     return p.stiffness * x * x * rest * math.tanh(4.0 * overlap / p.range)
 
 
+@pytest.mark.slow
 def test_a_law_without_stiffness_and_energy_has_them_derived():
     law = Bond(stiffness="2 nN/um", range=1.5)
     check_pair_law(law)

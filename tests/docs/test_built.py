@@ -1,7 +1,5 @@
 """The pages as a browser shows them, where they have been built (``.ci/run`` runs this then)."""
 
-import shutil
-
 import pytest
 from page_commands import ROOT
 
@@ -11,7 +9,6 @@ PAGES = sorted(
     for page in BUILT.rglob("*.html")
     if not {"_static", "_sources"} & set(page.relative_to(BUILT).parts)
 )
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 # what is wider than the window, unless something round it scrolls or cuts it off
 WIDE = """() => [...document.querySelectorAll("article *")].filter(element => {
@@ -25,18 +22,6 @@ BROKEN = """() => [...document.images].filter(
 ).map(image => image.src)"""
 
 pytestmark = pytest.mark.skipif(not PAGES, reason="build/docs is not there: sphinx-build makes it")
-
-
-@pytest.fixture(scope="module")
-def browser():
-    if CHROMIUM is None:
-        pytest.skip("there is no Chromium on this machine")
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as tools:
-        started = tools.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield started
-        started.close()
 
 
 @pytest.mark.slow

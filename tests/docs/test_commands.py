@@ -55,7 +55,7 @@ SPAN = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
 
 
 def spans(page: Path) -> list[str]:
-    """Return what a page has set as code within its text."""
+    """Return the inline code of a page."""
     text = re.sub(r"^( *)(`{3,}).*?^\1\2`*$", "", page.read_text("utf-8"), flags=re.S | re.M)
     return SPAN.findall(text)
 

@@ -1,4 +1,4 @@
-"""What the documentation's own extensions of Sphinx find."""
+"""Results of the documentation's own extensions of Sphinx."""
 
 import importlib
 import re
@@ -64,7 +64,8 @@ def test_rows_have_unit_default_and_range(extension):
     page = extension("scene_keys").page()
     line = next(line for line in page.splitlines() if line.startswith("| `division_radius`"))
     assert line == (
-        "| `division_radius` | quantity | um | `5.0` | above 0 um | At which a cell divides |"
+        "| `division_radius` | quantity | um | `5.0` | above 0 um | At which a cell divides; "
+        "newborn cells, and all without growth, have 0.794 of it |"
     )
     assert '## `[contact]` with `law = "jkr"`' in page
 

@@ -1,4 +1,4 @@
-"""How tests read the blocks of a page, on pages made up here."""
+"""Blocks of a page as tests read them, on pages made up here."""
 
 import pytest
 from page_commands import Block, blocks, commands, planned, run, ways_of

@@ -47,8 +47,8 @@ PHYSICS = {
 METHOD_CASES = {name: ("settle", {**TISSUE, "integrator": name}) for name in METHODS}
 GROUPS = {
     "all": METHOD_CASES | PHYSICS,
-    # a field, cells that divide, the default method, and a method that is compiled as a whole
-    "few": {"fields": PHYSICS["fields"], "dopri5": METHOD_CASES["dopri5"]},
+    # a field, cells that divide, and the default method, whose parts are compiled as a whole
+    "few": {"fields": PHYSICS["fields"]},
 }
 
 

@@ -29,7 +29,7 @@ CALLS = []
 
 
 def calls_of(work):
-    """Return what some work returns, and the calls of simulators that it made."""
+    """Return the result of some work, and the calls of simulators that it made."""
     before = len(CALLS)
     try:
         found = work()
@@ -104,7 +104,7 @@ class Growing:
     common: bool = True
 
     def mean(self, shares):
-        """Return what runs give without scatter, um: six times of each observable."""
+        """Return results of runs without scatter, um: six times of each observable."""
         rate, depth = shares
         times = np.arange(1.0, 7.0)
         size = 60.0 * np.exp(0.12 * times * (0.5 + rate))
@@ -112,7 +112,7 @@ class Growing:
         return np.concatenate([size, np.maximum(core, 0.0)])
 
     def drawn(self, shares, rng):
-        """Return what one tissue gives, um."""
+        """Return the result of one tissue, um."""
         found = self.mean(shares)
         steps = self.noise * rng.standard_normal((2, 6))
         if self.scatter == "shared":
@@ -200,7 +200,10 @@ def fitted(problem, points=30):
     known = search.run(Pool(), points)
     facts = {"sd": 0.1, "seconds": 1.0, "sets_of_parameters": points}
     again = fresh(problem, search, Pool())
-    return Fit(problem, SCENE, known, None, facts, again)
+    if again.problem is None:
+        return Fit(problem, SCENE, known, None, facts, again)
+    known = search.on(again.problem).evaluations()
+    return Fit(again.problem, SCENE, known, None, facts, again, search.readings, problem)
 
 
 CASES = {

@@ -38,7 +38,7 @@ PARTS = {
     "held cells": {"motions": {"held": {"cells": [0]}}},
     "driven cells": {"motions": {"driven": {"x": [0, 200], "velocity": [0.001, 0, 0]}}},
     "compression": {"compression": {}},
-    "surface": {"surface": {"tension": "0.5 nN/um"}},
+    "surface": {"surface": {"tension": "0.05 nN/um"}},
     "hertz": {"contact": {"law": "hertz"}},
     "smooth jkr": {"contact": {"law": "jkr", "smoothing": "0.2 um"}},
     "exact jkr": {"contact": {"law": "exact-jkr"}},

@@ -46,7 +46,7 @@ class Patience:
 
 
 def processor_time(process):
-    """Return what a process and those that it has started have used, s."""
+    """Return the CPU time of a process and those that it has started, s."""
     found, family = 0.0, []
     with contextlib.suppress(psutil.NoSuchProcess):  # any of them may end meanwhile
         family = [process, *process.children(recursive=True)]

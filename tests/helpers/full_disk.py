@@ -94,7 +94,7 @@ def play(source, folder, format):
     tempfile.tempdir = folder
     scene = mc.load_scene(source)
     ranges = parse_ranges({"cells.young": "1:2 kPa"}, scene)
-    with Playground(scene, ranges, 1.0, "", None) as ground:
+    with Playground(scene, ranges, 1.0, "", ()) as ground:
         ground.begin()
         while (status := ground.status())["going"]:
             time.sleep(0.1)

@@ -132,6 +132,8 @@ def tissue(dimensions, cycle, regime):
                 "cycle_scale": 1.1, "uptake_scale": 1.2,
                 "secretion_scale": 0.8, "uptake_of": {"oxygen": 1.1},
                 "secretion_of": {"waste": 0.9}, "motility_scale": 1.3,
+                "division_radius_scale": 1.05, "quiescence_of": {"oxygen": 1.02},
+                "necrosis_of": {"oxygen": 0.99},
             },
             "b": {
                 "fraction": 0.5, "young": "2 kPa", "ligand": 1.0,
@@ -381,7 +383,10 @@ TEXTS = {
 }
 """Other values of keys that name something."""
 
-FAR = {"radiation.*.phase_factor": [{"G1": 9.0}]}
+FAR = {
+    "types.*.necrosis_of": [{"oxygen": 1.045}],
+    "radiation.*.phase_factor": [{"G1": 9.0}],
+}
 """Values far from those of the scenes, for keys by which chances of few cells change."""
 
 

@@ -1,7 +1,8 @@
 """Runs the code of a notebook as a plain program, in an environment that lacks other packages.
 
 ``python notebook_runner.py BOOK.ipynb`` runs its cells in the current folder: lines ``!command`` by
-the shell, ``%%writefile`` as writing, the last expression of a cell as a display.
+the shell, those of ``multicell`` alone in this process, ``%%writefile`` as writing, the last
+expression of a cell as a display.
 :func:`environment` has the variables of processes in which only the packages of a requirement can
 be imported.
 """
@@ -13,6 +14,7 @@ import importlib.metadata
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 import tomllib
@@ -135,7 +137,16 @@ def run_cell(text: str, names: dict[str, object]) -> None:
 
 def _shell_line(command: str) -> None:
     sys.stdout.flush()
-    subprocess.run(command, shell=True, check=True)
+    if not command.startswith("multicell ") or set("|;&<>$") & set(command):
+        subprocess.run(command, shell=True, check=True)
+        return
+    from multicell.cli.main import main
+
+    try:
+        main(shlex.split(command)[1:])
+    except SystemExit as end:
+        if end.code:
+            raise subprocess.CalledProcessError(int(end.code), command) from end
 
 
 if __name__ == "__main__":

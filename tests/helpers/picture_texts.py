@@ -1,4 +1,4 @@
-"""What is written in a picture or on a page, and where."""
+"""Texts of a picture or a page, and their places."""
 
 from __future__ import annotations
 

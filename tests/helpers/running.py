@@ -1,4 +1,4 @@
-"""What many tests do with scenes: run them to the end, expect a refusal, count survivors."""
+"""Helpers to use scenes in tests: run them to the end, expect a refusal, count survivors."""
 
 from contextlib import contextmanager
 

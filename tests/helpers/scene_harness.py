@@ -1,4 +1,4 @@
-"""What must hold of every scene, and processes that try it with many.
+"""Checks that every scene must pass, and processes that try it with many.
 
 A case is a dict of a scene. :func:`load_case` and :func:`run_case` return what became of it, or
 raise :class:`Fault`. :func:`campaign` draws cases in processes of their own and returns a
@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
+from multicell.results.measures import NO_CENTRE
 from multicell.results.quantities import ABSENT_WORDS
 
 _AT_THE_START = re.compile("nodes|finite medium of .* its grid covers|too far|origin, where")
@@ -211,7 +212,7 @@ def _leads(path, node, part):
 
 
 def explained(scene, **options):
-    """Return what ``explain`` says, which must be plain and finite, or end by name."""
+    """Return the text of ``explain``, which must be plain and finite, or end by name."""
     from multicell.report.explain.scene import explain
 
     with warnings.catch_warnings():
@@ -275,6 +276,9 @@ def check_result(result):
     """Raise :class:`Fault` for a number that is none, an open ledger, cells lost or made."""
     for name, column in result.history.items():
         _finite(f"history.{name}", column, name)
+        domain = result.scene.domain
+        if ABSENT_WORDS.get(name) == NO_CENTRE and not (domain and domain.periodic):
+            _finite(f"history.{name}", column, "of a population that has a centre")
     for frame in result.frames:
         _check_frame(frame)
     summary = result.summary()
@@ -407,7 +411,7 @@ class Tally:
 
 
 def judged(kind, entries):
-    """Return what became of a case, or a text that begins with ``FAULT``."""
+    """Return the outcome of a case, or a text that begins with ``FAULT``."""
     try:
         return (load_case if kind == "load" else run_case)(entries)
     except Fault as fault:

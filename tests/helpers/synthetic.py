@@ -5,6 +5,7 @@ import numpy as np
 from multicell.cells import Cells, State
 from multicell.population.extents import centre, distances
 from multicell.results.frame import Field, Frame
+from multicell.results.observable import TissueState
 from multicell.results.summary import history_row
 from multicell.scene.scene import Scene
 
@@ -108,4 +109,4 @@ def growing_frames(count=8, days=9.0, last=4000):
 
 
 def history_of(frames):
-    return [history_row(BARE, f) for f in frames]
+    return [history_row(TissueState(f, BARE)) for f in frames]

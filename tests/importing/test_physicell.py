@@ -1,4 +1,4 @@
-"""What becomes of PhysiCell's settings: each element once, and numbers by closed forms."""
+"""PhysiCell's settings as scenes: each element once, and numbers by closed forms."""
 
 import re
 from collections import Counter

@@ -12,26 +12,27 @@ from multicell.simulation import Simulation
 PARTS = {
     "nothing": {},
     "friction": {"friction": {"normal": 0.1, "tangential": 0.1}},
-    "walls": {"domain": {"x": [-20, 20], "y": [-20, 20], "z": [-20, 20], "young": "1 kPa"}},
     "prescribed motion": {"motions": {"m": {"cells": [0, 1], "velocity": [0.001, 0, 0]}}},
     "friction and prescribed motion": {
         "friction": {"normal": 0.1}, "motions": {"m": {"cells": [0], "velocity": [0.001, 0, 0]}},
     },
-    "motility": {"motility": {"force": "0.5 nN"}},
-    "exact JKR": {"contact": {"law": "exact-jkr", "surface_energy": 0.1}},
-    "adhesion molecules and a force": {
+    "exact JKR in a plane": {
+        "contact": {"law": "exact-jkr", "surface_energy": 0.1},
+        "dimensions": 2,
+    },
+    # what makes kernels of its own stands together, so that each candidate is compiled once
+    "walls, motility, a force, molecules and types that stick unlike": {
+        "domain": {"x": [-20, 20], "y": [-20, 20], "z": [-20, 20], "young": "1 kPa"},
+        "motility": {"force": "0.5 nN"},
         "pull": {"force": 0.01},
         "adhesion": {"strength": 0.002},
-        "types": {"a": {"receptor": 1.0, "ligand": 1.0}},
-    },
-    "plane": {"dimensions": 2},
-    "types that stick unlike": {
         "types": {
-            "a": {"fraction": 0.5, "surface_energy": {"a": 0.2, "b": 0.1}},
-            "b": {"fraction": 0.5, "surface_energy": {"a": 0.1, "b": 0.1}},
+            "a": {"fraction": 0.5, "surface_energy": {"a": 0.2, "b": 0.1}, "receptor": 1.0},
+            "b": {"fraction": 0.5, "surface_energy": {"a": 0.1, "b": 0.1}, "ligand": 1.0},
         },
     },
 }  # fmt: skip
+QUICK = ("nothing", "friction")
 
 
 def scene_of(viscosity=0.5, **parts):
@@ -47,7 +48,10 @@ def scene_of(viscosity=0.5, **parts):
     })  # fmt: skip
 
 
-@pytest.mark.parametrize("part", sorted(PARTS))
+@pytest.mark.parametrize(
+    "part",
+    [pytest.param(part, marks=() if part in QUICK else pytest.mark.slow) for part in PARTS],
+)
 def test_every_candidate_can_do_a_part_or_refuses_it(part):
     simulation = Simulation(scene_of(**PARTS[part]), threads=1)
     system, position = simulation.prepared(), simulation.cells.position

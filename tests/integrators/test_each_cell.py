@@ -9,6 +9,8 @@ from multicell.integrators.auto import Auto
 from multicell.integrators.cvode import Cvode, CvodeAdams
 from multicell.integrators.restarts import IntegrationProgress
 
+pytestmark = pytest.mark.kernels
+
 
 def ball(n):
     """Return centres and radii of a settled ball in which the innermost cell has just divided."""
@@ -33,8 +35,8 @@ def accepted_steps(monkeypatch):
         def __init__(self, solver):
             self.solver = solver
 
-        def step(self):
-            taken = self.solver.step()
+        def take_step(self):
+            taken = self.solver.take_step()
             self.error = taken.error
             return taken
 

@@ -24,6 +24,8 @@ from multicell.integrators.scipy import Scipy
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
 
+pytestmark = pytest.mark.kernels
+
 ALL = [
     Euler(2.0), AdamsBashforth2(2.0), Rkc2(step=4.0), AdaptiveEuler(1e-4, 1e-3), Dopri5(1e-8, 1e-8),
     Rkc2(1e-5, 1e-4), AdaptiveAdams(1e-6, 1e-5),

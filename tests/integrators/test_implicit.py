@@ -234,7 +234,7 @@ class Breaking:
     def close(self):
         Breaking.open -= 1
 
-    def step(self):
+    def take_step(self):
         if self.run.elapsed >= 2.0:
             raise StepImpossible("it broke")
         self.taken += 1

@@ -1,4 +1,5 @@
-"""Where there is nothing to solve, and where double precision ends: every method, every law."""
+"""Limits of methods, where there is nothing to solve and where double precision ends: every method,
+every law."""
 
 import itertools
 
@@ -17,6 +18,8 @@ from multicell.mechanics import blocks
 from multicell.mechanics import preconditioners as sparse
 from multicell.mechanics.motion import StateRejected
 from multicell.scene.parts import IntegratorOptions
+
+pytestmark = pytest.mark.kernels
 
 LONE = {
     "nobody": np.empty((0, 3)),

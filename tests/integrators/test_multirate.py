@@ -18,6 +18,8 @@ from multicell.integrators.stepping import compiled
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
 
+pytestmark = pytest.mark.kernels
+
 
 @compiled
 def velocities_of_a_part(source, pairs, is_fast, position, elapsed):
@@ -157,7 +159,7 @@ def test_steps_that_are_refused_without_end_end_a_loop():
     tried = 0
     while stepping.stop_reason(walk, counts, control, 600.0) == stepping.DONE:
         assert stepping.refuse_step(walk, counts, control, stepping.MOVED, 1.0)
-        walk[stepping.STEP] = 10.0
+        walk[stepping.DT] = 10.0
         tried += 1
         assert tried < 1000
     assert counts[stepping.REJECTIONS] == tried > 100

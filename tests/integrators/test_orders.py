@@ -12,6 +12,8 @@ from multicell.integrators.registry import METHODS, find
 from multicell.integrators.rkc import Rkc2
 from multicell.integrators.runge_kutta import Dopri5, RungeKutta4
 
+pytestmark = pytest.mark.kernels
+
 LAWS = [Hertz(), JKR(surface_energy=0.1)]
 HALVED = np.array([1.0, 0.5, 0.25, 0.125])
 LONGEST = {"ab2": 4.0, "rk4": 10.0}

@@ -16,6 +16,8 @@ from multicell.integrators.registry import METHODS, from_options
 from multicell.integrators.runge_kutta import Heun
 from multicell.plugins.named import load_object
 
+pytestmark = pytest.mark.kernels
+
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_integrator.py"
 SCENE = {"initial.count": 20, "duration": "20 min", "output.every": "5 min", "coupling_step": 60.0}
 
@@ -114,7 +116,7 @@ WRONG = {
     "nothing.py:Midpoint": "there is no file 'nothing.py'",
     "mine.py:Midpont": "has nothing called 'Midpont'. Did you mean 'Midpoint'",
     "mine.py:math": "'math' is no integrator: it has no method integrate(system, position)",
-    "mine.py:": "must be the form 'file.py:Name'",
+    "mine.py:": "must have the form 'file.py:Name'",
     "raises.py:Midpoint": "line 1, raises ZeroDivisionError",
     "wants.py:Wants": "'Wants' cannot be made: ",
     "euIer": "must be one of",
@@ -195,7 +197,7 @@ def test_the_example_runs_as_it_stands(tmp_path):
 
 @pytest.mark.parametrize("name", ["auto", "backward-euler", "cvode", "rk4", "rkc2", "scipy-bdf"])
 def test_methods_of_ours_can_be_handed_over_as_an_object(name):
-    """What a class calls a setting that is not used, such as no step, is none of the scene's."""
+    """A class's own default of an unused setting, such as no step, is none of the scene's."""
     asked = scene(**{"initial.count": 3, "duration": "5 min", "integrator.method": name})
     method = from_options(asked.integrator)
     other = scene(**{"initial.count": 3, "duration": "5 min"})

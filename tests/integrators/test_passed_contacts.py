@@ -14,6 +14,8 @@ from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
 from multicell.scene.parts import IntegratorOptions
 
+pytestmark = pytest.mark.kernels
+
 STATES = np.load(Path(__file__).with_name("passed-contacts.npz"))
 """Coupling steps of cells that move by themselves, recorded from runs of 51 cells at 0.01 kPa s.
 

@@ -36,7 +36,7 @@ def equal_steps(system, position, steps, **options):
 def solved(resolvent, right):
     """Solve with the matrix that a step takes, dense, from SciPy's sparse one."""
     system = resolvent.system
-    matrix = np.eye(right.size) - (1 - math.sqrt(0.5)) * resolvent.step * matrix_of(resolvent)
+    matrix = np.eye(right.size) - (1 - math.sqrt(0.5)) * resolvent.dt * matrix_of(resolvent)
     return np.linalg.solve(matrix, right.ravel()).reshape(len(system), 3)
 
 

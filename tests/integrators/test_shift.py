@@ -1,4 +1,4 @@
-"""What a small shift of all positions does to the end of a coupling step, in runs."""
+"""Effect of a small shift of all positions on the end of a coupling step, in runs."""
 
 import math
 from dataclasses import replace
@@ -14,6 +14,8 @@ from multicell.integrators import shift
 from multicell.integrators.auto import Auto
 from multicell.integrators.shift import SHARE, SHIFT, Replays, replay_step, shifted_positions
 from multicell.simulation import Simulation
+
+pytestmark = pytest.mark.kernels
 
 METHODS = ["auto", "cvode", "rkc2", "ab2"]
 

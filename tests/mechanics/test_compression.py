@@ -21,6 +21,8 @@ from multicell.mechanics.walls import Walls
 from multicell.scene.parts import IntegratorOptions
 from multicell.simulation import Simulation
 
+pytestmark = pytest.mark.kernels
+
 HALF, WIDE = 14.0, 15.0
 FELT = TissueCompression(10.0)
 
@@ -141,6 +143,7 @@ def test_preconditioners_are_definite_and_shorten_the_way(sweeps):
     assert steps[0] < 0.95 * steps[1]
 
 
+@pytest.mark.slow
 def test_any_number_of_threads_gives_the_same_bits():
     found = []
     for threads in (1, 2):

@@ -8,6 +8,8 @@ import pytest
 import multicell as mc
 from multicell.simulation import Simulation
 
+pytestmark = pytest.mark.kernels
+
 LAWS = {"hertz": {"law": "hertz"}, "jkr": {"law": "jkr", "surface_energy": 0.02}}
 
 

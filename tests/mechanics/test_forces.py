@@ -17,6 +17,8 @@ from multicell.mechanics.motion import Motion
 from multicell.mechanics.neighbours import CHUNK
 from multicell.mechanics.system import Mechanics
 
+pytestmark = pytest.mark.kernels
+
 
 def system(law, radius, young, *, duration=10.0, rate=None, options=None, **motion):
     n = len(radius)

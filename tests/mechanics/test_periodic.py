@@ -22,6 +22,8 @@ from multicell.mechanics.walls import Walls
 from multicell.scene.parts import IntegratorOptions
 from multicell.vectors import nearest_differences, wrapped
 
+pytestmark = pytest.mark.kernels
+
 ALL = np.array([31.0, 34.0, 37.0])
 """Lengths of the box, µm: at least two interaction ranges of the largest cells."""
 

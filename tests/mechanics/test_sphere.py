@@ -20,6 +20,8 @@ from multicell.mechanics.system import Mechanics
 from multicell.scene.parts import IntegratorOptions
 from multicell.simulation import Simulation
 
+pytestmark = pytest.mark.kernels
+
 REST, SHEAR = 18.0, 0.5
 
 

@@ -1,4 +1,4 @@
-"""What networks take up and secrete: accounts of fields, and the order of their coupling."""
+"""Uptake and secretion of networks: accounts of fields, and the order of their coupling."""
 
 from __future__ import annotations
 

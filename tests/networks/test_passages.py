@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
+from network_models import BRUSSELATOR, CLOCK, network, rows
 
 from multicell.networks.solver import NetworkSolver
-from tests.helpers.network_models import BRUSSELATOR, CLOCK, network, rows
 
 
 def turning(t, y, u, p, out):

@@ -1,4 +1,4 @@
-"""What is refused of files, by name, and what a hostile file cannot do."""
+"""Refusals of files, by name, and limits for hostile files."""
 
 import os
 import sys

@@ -1,4 +1,4 @@
-"""What is read of SBML, compared with closed forms."""
+"""SBML as read, compared with closed forms."""
 
 import math
 
@@ -42,7 +42,7 @@ def solve(network, end, *, parameters=None, inputs=None, start=None):
 
 
 def value(tmp_path, formula, x=0.7, **more):
-    """Return what a formula of x is as a rate."""
+    """Return the rate of a formula of x."""
     text = document(parameters={"x": str(x), "z": "0"}, rates={"z": formula}, **more)
     network = read(tmp_path, text)
     out = np.empty(1)

@@ -344,7 +344,7 @@ def test_cells_of_a_run_do_not_see_the_spacing(dimensions):
 
 @pytest.mark.parametrize("spacing", [12.0, 6.0, 4.0, 3.0, 1.5])
 def test_the_reported_error_of_a_lone_cell_is_not_below_the_true_one(spacing):
-    """What it finds of its own, between cubes that do not resolve it; by the closed form."""
+    """Its own contribution, between cubes that do not resolve it; by the closed form."""
     cell = np.zeros((1, 3)), np.array([6.0])
     _, found, reported, _ = orders.solved(spacing, cell, margin=24.0, half_saturation=1e-9)
     taken = 20.0 * (1.2 / 6.0 - 1.0 / 24.0) / (4.0 * np.pi * 2000.0)

@@ -265,7 +265,6 @@ def test_what_cannot_be_solved_is_said():
 @pytest.mark.parametrize(
     ("grid", "words"),
     [
-        (CartesianGrid([(0, 10)] * 3, 4, periodic=True), "is periodic"),
         (CartesianGrid([(0, 10), (0, 20)], 4), "spacings that differ"),
         (CartesianGrid([(0, 10)], 4), "1 axes"),
         (SphericalSymGrid((2, 10), 4), "hollow ball"),

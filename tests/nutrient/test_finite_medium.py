@@ -32,7 +32,7 @@ def scene(nutrient=None, **changes):
 
 
 def closed(simulation, begin, name="glucose"):
-    """Return what is missing in field, medium and cells together, over all that was brought."""
+    """Return the missing part in field, medium and cells together, over all that was brought."""
     ledger, held = simulation.ledger[name], content(simulation, name)
     brought = begin + ledger.fresh + ledger.secreted
     gone = ledger.discarded + ledger.spoiled + ledger.decayed + ledger.uptake
@@ -40,7 +40,7 @@ def closed(simulation, begin, name="glucose"):
 
 
 def content(simulation, name="glucose"):
-    """Return what the field of the last frame holds, amol, by its own grid."""
+    """Return the content of the last frame's field, amol, by its own grid."""
     field = simulation.fields[name]
     if field.kind == "radial":
         edges = np.arange(field.values.size + 1) * field.spacing
@@ -233,7 +233,7 @@ def test_a_medium_smaller_than_its_grid_is_refused():
 
 @pytest.mark.parametrize("regime", ["steady", "transient"])
 def test_a_medium_far_larger_than_its_field_leaves_no_rounding_in_the_account(regime):
-    """What decays in the field, and what a flow takes, is not the difference of large numbers."""
+    """Decay in the field, and loss by flow, are not differences of large numbers."""
     changes = {
         "nutrients.glucose.finite_medium": {"volume": 1e13},
         "nutrients.glucose.regime": regime, "nutrients.glucose.decay": 3e-4,

@@ -120,7 +120,7 @@ def marched(equation, start, end, tolerance, scale=1.0):
 
 
 def entry(info, name):
-    """Return what happened to the one field there is, amol."""
+    """Return the account of the only field, amol."""
     return info["amounts"][0][BALANCE_COLUMNS.index(name)]
 
 

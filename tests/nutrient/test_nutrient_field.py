@@ -187,7 +187,7 @@ def test_bad_input_is_refused():
 @pytest.mark.parametrize("geometry", ["box", "radial"])
 @pytest.mark.parametrize("regime", ["steady", "transient"])
 def test_a_field_that_goes_on_is_as_one_made_anew_from_its_values(geometry, regime):
-    """What is kept of equation, solver and conditions follows grid, medium and parameters."""
+    """Stored parts of equation, solver and conditions follow grid, medium and parameters."""
     field = oxygen(geometry=geometry, media=((600.0, 0.02), (1500.0, 0.07)), decay=1e-3)
     field.parameters = replace(field.parameters, regime=regime)
     position, capacity = ball(30.0)

@@ -46,7 +46,7 @@ def ball_sink(grid, density):
 
 
 def from_faces(grid, law):
-    """Return what an exact solution's values on all faces bring to the nodes, mM/s."""
+    """Return the inflow to the nodes by an exact solution's values on all faces, mM/s."""
     middle, h = grid.axes_coords[0], float(grid.discretization[0])
     a, b = np.meshgrid(middle, middle, indexing="ij")
     supply = np.zeros(grid.shape)

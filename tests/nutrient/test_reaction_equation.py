@@ -41,7 +41,7 @@ def started(made):
 
 
 def written_out(a, b, c, tissue):
-    """Return what the reactions of ``ALL`` make of three fields, by hand."""
+    """Return rates of the reactions of ``ALL`` for three fields, by hand."""
     bind, twice = 0.3 * a * b, 0.1 * b * b * (1.0 - tissue)
     triple = 2.0 * tissue * c**3
     return np.array([2.0 * triple - bind + 0.01, -bind - 2.0 * twice, bind - 3.0 * triple])

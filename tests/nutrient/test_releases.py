@@ -9,6 +9,7 @@ from multicell.errors import SceneError, StepFailed
 from multicell.scene.formulas import check_formula, formula_values
 from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
+from multicell.simulation.start_check import check_population
 
 D, LENGTH = 20.0, 160.0
 WALLS = {"*": {"type": "derivative", "derivative": 0}}
@@ -146,8 +147,53 @@ def test_refusals(path, words, field):
         scene_of(field)
 
 
-def test_a_release_outside_the_domain_ends_the_run():
+def test_a_release_outside_the_domain_is_refused_whenever_it_is():
     release = {"amount": 1.0, "time": "1 min", "place": [-85, 0, 0]}
-    run = Simulation(scene_of({"release": {"a": release}}))
+    with refused("nutrients.signal.release.a.place", "outside the domain"):
+        scene_of({"release": {"a": release}})
+
+
+def test_a_release_that_the_grid_does_not_reach_in_time_ends_the_run():
+    release = {"amount": 1.0, "time": "1 min", "place": [500, 0, 0]}
+    run = Simulation(scene_of({"release": {"a": release}}, domain=None))
     with pytest.raises(StepFailed, match=r"release.a of signal at 60 s has no place"):
         finished(run)
+
+
+FIRST = {
+    "negative": ({"initial_formula": "x - 50"}, "initial_formula", "is -"),
+    "no number": ({"initial_formula": "log(x)"}, "initial_formula", "is nan"),
+    "too large": ({"initial_formula": "9**9**9**9"}, "initial_formula", "is inf"),
+    "nowhere": ({"release": {"a": {"amount": 1.0, "place": [500, 0, 0]}}}, "release.a.place",
+                "outside the grid"),
+    "of nobody": ({"release": {"a": {"amount": 1.0, "type": "b"}}}, "release.a.type", "no cell"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", FIRST)
+def test_what_no_run_could_begin_with_is_refused_before_it(case):
+    field, path, words = FIRST[case]
+    types = {"types": {"a": {}, "b": {"fraction": 0}}} if case == "of nobody" else {}
+    domain = {"domain": None} if case == "nowhere" else {}
+    with refused(f"nutrients.signal.{path}", words):
+        check_population(scene_of(field, **types, **domain))
+
+
+def test_a_good_start_is_not_refused():
+    field = {"initial_formula": "1 + x / 100",
+             "release": {"a": {"amount": 1.0, "place": [70, -30, 0], "radius": 3.0}}}  # fmt: skip
+    check_population(scene_of(field))
+
+
+@pytest.mark.parametrize("number", ["9" * 500, "1e400", "-1e999", "2 * 1" + "0" * 400])
+def test_numbers_beyond_computing_are_refused(number):
+    with refused("nutrients.signal.initial_formula", "too large to compute with"):
+        scene_of({"initial_formula": number})
+
+
+def test_oxygen_begins_with_no_more_than_dissolves():
+    field = {**FIELD, "initial_formula": "21 * step(x)"}
+    scene = Scene.from_dict({**scene_of().to_dict(), "nutrients": {"oxygen": field}})
+    for door in (check_population, Simulation):
+        with refused("nutrients.oxygen.initial_formula", "21 mM, but under pure oxygen"):
+            door(scene)

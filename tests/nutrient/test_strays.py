@@ -68,7 +68,7 @@ def test_cells_beyond_the_grid_find_the_medium_and_no_gradient(geometry):
 
 
 def test_their_uptake_is_part_of_the_balance():
-    """What strays take up comes in over the sides: nearly their uptake in the medium."""
+    """Uptake of strays comes in over the sides: nearly their uptake in the medium."""
     _, alone = solved(ball())
     _, both = solved(np.vstack([ball(), FAR]))
     more = both.uptake - alone.uptake

@@ -1,4 +1,4 @@
-"""What cells take up and secrete: Michaelis-Menten, by volume, by type and state."""
+"""Uptake and secretion of cells: Michaelis-Menten, by volume, by type and state."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def scene(nutrient, types=None, **changes):
 
 @njit
 def compiled(most, c, half):
-    """Return what a kernel gets."""
+    """Return the arguments of a kernel."""
     return uptake_and_slope(most, c, half)
 
 

@@ -1,4 +1,4 @@
-"""What a paper says of a run follows from the run."""
+"""Sentences of a paper on a run follow from the run."""
 
 from __future__ import annotations
 

@@ -22,6 +22,8 @@ from multicell.report.plots.space import View, film_picture, room
 from multicell.report.result import history_columns
 from multicell.studies.axes import parse_ranges
 from multicell.studies.pictures import StudyPlots
+from multicell.studies.runs import StudyRun
+from multicell.studies.spheroids import spheroids
 
 FIELD = {"geometry": "box", "spacing": "15 um", "boundary": 0.07, "quiescence": 0.06, "uptake": 40}
 
@@ -102,6 +104,15 @@ def two_drugs():
     return {"dose A / uM": a, "dose B / nM": b, "response": 400.0 / (1.0 + a) / (1.0 + b)}
 
 
+def tissues():
+    """Return the picture of the tissues of a study, of three points of which one is not done."""
+    levels = AXES["oxygen.boundary"][0]
+    points = [{"oxygen.boundary": level, "seed": 1} for level in levels]
+    runs = [StudyRun(f"run-{k}", SCENE, point, 1.0) for k, point in enumerate(points)]
+    found = [(run, spheroid(100 + 100 * k)) for k, run in enumerate(runs[:2])]
+    return spheroids(grid("oxygen.boundary", seeds=2), "A study of a spheroid", found, 3)
+
+
 def film(frame):
     return film_picture(frame, SCENE, colouring(frame, SCENE, None, {}), View(), room(frame))
 
@@ -129,6 +140,7 @@ PICTURES = {
                lambda: study(*AXES).curves("diameter")],
     "workprecision": [lambda: comparison(3, failed=False).figure(),
                       lambda: comparison(20).figure()],
+    "spheroids": [tissues],
     "stability_map": [lambda: mc.stability(FEW, ["euler"], threads=1).figure()],
     "indices": [lambda: sensitivity().plot("diameter")],
     "data": [lambda: fit().data()],

@@ -51,7 +51,7 @@ def test_whatever_a_template_is_given_is_escaped(tmp_path):
 def test_a_template_that_lacks_a_value_is_refused(tmp_path):
     from jinja2 import UndefinedError
 
-    with pytest.raises(UndefinedError, match="styles"):
+    with pytest.raises(UndefinedError, match="is undefined"):
         write_page(
             tmp_path / "page.html", "compare.html", scene=BARE, title="", subtitle="", tiles={},
             pictures={}, judge="", verdicts={}, verdict="", pale="",

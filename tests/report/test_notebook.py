@@ -1,4 +1,4 @@
-"""What a notebook shows: short words, a picture with the view, frames by their time, a bar."""
+"""Results in a notebook: short words, a picture with the view, frames by their time, a bar."""
 
 import pickle
 import re

@@ -1,4 +1,4 @@
-"""Where explain places a scene in the diagram of methods, beside decay rates that were measured."""
+"""Place of a scene in the diagram of methods by explain, compared with measured decay rates."""
 
 import numpy as np
 import pytest

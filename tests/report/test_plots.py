@@ -73,7 +73,7 @@ def test_section_draws_the_cut_of_each_cell():
 def test_section_marks_thresholds_of_the_field():
     figure = Plots([spheroid(3000)], {}, SCENE).section()
     legend = texts(figure)
-    assert "below 0.02: cells are quiescent" in legend
+    assert "below 0.02: quiescence" in legend
     assert "most cells are necrotic" in legend
     assert "Oxygen (mM)" in legend
 

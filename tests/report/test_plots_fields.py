@@ -10,6 +10,7 @@ from multicell.population import extents
 from multicell.report.plots.run import PICTURES, Plots
 from multicell.report.result import history_columns
 from multicell.results.frame import Frame
+from multicell.results.observable import TissueState
 from multicell.results.summary import history_row
 from multicell.scene.scene import Scene
 
@@ -104,7 +105,7 @@ def test_cells_below_the_threshold_make_the_hypoxic_ball(threshold):
     changes = {"nutrients.oxygen.quiescence": "0.06 mM", "nutrients.oxygen.hypoxia": threshold}
     scene = mc.load_scene("spheroid").with_changes(changes)
     found = [
-        history_row(scene, Frame(0.0, 0, cells_at(position), {"oxygen": levels}))
+        history_row(TissueState(Frame(0.0, 0, cells_at(position), {"oxygen": levels}), scene))
         for levels in (
             np.where(apart < 50.0, 0.99, 1.01) * level,
             np.full(len(apart), 1.01 * level),

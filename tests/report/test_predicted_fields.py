@@ -1,4 +1,4 @@
-"""What transient fields are expected to take, compared with what they do."""
+"""Predicted cost of transient fields, compared with the true one."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""What explain foretells of whole runs, against runs, closed forms and SciPy."""
+"""Predictions of explain for whole runs, against runs, closed forms and SciPy."""
 
 import math
 

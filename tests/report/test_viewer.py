@@ -21,11 +21,6 @@ from multicell.report.result import Result
 from multicell.report.viewer import pack
 from multicell.results.frame import Frame
 
-CHROMIUM = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-)
-SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-
 
 def spread(count, time=0.0, seed=1):
     rng = np.random.default_rng(seed)
@@ -202,18 +197,6 @@ def test_the_page_allows_its_own_scripts_and_nothing_else(run):
     assert set(re.findall(r"'sha256-([^']+)'", policy)) == hashes
     assert len(hashes) == 2
     assert "http://" not in re.sub(r"http://www\.w3\.org/\S+", "", scripts[1])
-
-
-@pytest.fixture(scope="module")
-def browser():
-    if CHROMIUM is None:
-        pytest.skip("there is no Chromium on this machine")
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as tools:
-        started = tools.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
-        yield started
-        started.close()
 
 
 @pytest.fixture

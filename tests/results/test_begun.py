@@ -1,4 +1,4 @@
-"""What was ended before its first result, by a full disk or a kill, is begun anew unasked."""
+"""Runs ended before their first result, by a full disk or a kill, begin anew unasked."""
 
 import errno
 import os

@@ -107,7 +107,7 @@ def scene_of(name, dimensions):
 
 
 def expected(name, case, key):
-    """Return what an observable is in a painted tissue, by the definition of its name."""
+    """Return the value of an observable in a painted tissue, by the definition of its name."""
     n, dead, size = len(case.position), int(case.marked.sum()), case.radius
     living, alive = n - dead, np.flatnonzero(~case.marked)
     rim = size - case.core if case.core else NAN

@@ -96,7 +96,7 @@ def assert_a_beginning(folder, whole):
     count = len(run.frames)
     assert [place.digest for place in here.places] == [p.digest for p in there.places[:count]]
     for k, frame in enumerate(run.frames):
-        assert frame.step == there.places[k].step
+        assert frame.step == there.places[k].step_index
     for name, column in there.history().items():
         rows = here.history().get(name, np.empty(0))
         assert rows.tobytes() == column[: len(rows)].tobytes()

@@ -8,6 +8,7 @@ from multicell.cells import Cells, Phase, State
 from multicell.population import extents
 from multicell.results import observables
 from multicell.results.frame import Field, Frame
+from multicell.results.observable import TissueState
 from multicell.results.summary import history_row
 
 
@@ -49,7 +50,7 @@ def test_layers_of_a_ball_give_core_rims_and_the_part_that_proliferates():
     layer = np.digitize(np.linalg.norm(position, axis=1), [60.0, 80.0])
     state = states[layer]
     frame = Frame(0.0, 0, cells_at(position, radius=0.2, state=state), {})
-    row = history_row(BARE.with_changes({"growth": {}}), frame)
+    row = history_row(TissueState(frame, BARE.with_changes({"growth": {}})))
     assert row["proliferating_rim"] == pytest.approx(20.0, rel=2e-2)
     assert row["viable_rim"] == pytest.approx(40.0, rel=1e-2)
     assert row["necrotic_radius"] == pytest.approx(60.0, rel=4e-3)
@@ -62,7 +63,7 @@ def test_layers_of_a_ball_give_core_rims_and_the_part_that_proliferates():
 
 def test_no_cells_have_no_size_and_no_centre():
     cells = Cells.empty()
-    row = history_row(BARE, Frame(600.0, 1, cells, {}))
+    row = history_row(TissueState(Frame(600.0, 1, cells, {}), BARE))
     assert row["cells"] == row["diameter"] == row["necrotic_radius"] == 0.0
     assert np.isnan([row["viable_rim"], row["packing_ratio"]]).all()
     with pytest.raises(ValueError, match="no centre"):
@@ -72,13 +73,13 @@ def test_no_cells_have_no_size_and_no_centre():
 def test_measures_do_not_depend_on_the_order_of_cells():
     cells = spheroid(500).cells
     turned = cells.take(np.random.default_rng(5).permutation(len(cells)))
-    first, second = (history_row(BARE, Frame(0.0, 0, c, {})) for c in (cells, turned))
+    first, second = (history_row(TissueState(Frame(0.0, 0, c, {}), BARE)) for c in (cells, turned))
     assert second == pytest.approx(first, rel=1e-12, nan_ok=True)
 
 
 def test_history_row_holds_floats_and_extra_columns():
     frame = spheroid(300)
-    row = history_row(BARE, frame, evaluations=17)
+    row = history_row(TissueState(frame, BARE), evaluations=17)
     assert all(type(value) is float for value in row.values())
     assert row["evaluations"] == 17.0
     assert row["cells"] == row["proliferating"] + row["quiescent"] + row["necrotic"]

@@ -8,6 +8,7 @@ import multicell as mc
 from multicell.cells import Phase, State
 from multicell.population import extents
 from multicell.results.frame import Frame
+from multicell.results.observable import TissueState
 from multicell.results.summary import history_row
 
 R = 100.0
@@ -111,7 +112,7 @@ def test_the_share_of_living_cells_at_the_border_is_a_convention():
 def test_all_dead_is_the_whole_tissue():
     position, _ = tissue(count=500)
     cells = cells_at(position, radius=5.0, state=State.NECROTIC)
-    row = history_row(BARE, Frame(0.0, 0, cells, {}))
+    row = history_row(TissueState(Frame(0.0, 0, cells, {}), BARE))
     assert row["necrotic_radius"] == row["radius"]
     assert row["viable_rim"] == 0.0
 

@@ -35,7 +35,6 @@ CHANGES = {
     "nutrients.oxygen.necrosis": "0.0223 mM",
     "death.lysis_time": "1 h",
     "output.every": "20 min",
-    "networks.hif.inputs": {"O2": "oxygen"},
 }
 NETWORK = """HIF1 = 0.1; count = 20; O2 = 0.05;
 HIF1' = 2e-4 - 2e-2*O2*HIF1; count' = 1e-3*HIF1*count;
@@ -80,7 +79,8 @@ def folders(tmp_path_factory):
     pytest.importorskip("antimony")
     place = tmp_path_factory.mktemp("damage")
     (place / "hif.ant").write_text(NETWORK, encoding="utf-8")
-    changes = {**CHANGES, "networks.hif.file": str(place / "hif.ant")}
+    network = {"file": str(place / "hif.ant"), "inputs": {"O2": "oxygen"}}
+    changes = {**CHANGES, "networks": {"hif": network}}
     made = {kind: place / kind.replace(" ", "-") for kind in KINDS}
     scene = mc.load_scene("spheroid").with_changes(changes)
     run = mc.run(scene, output=made["finished"], threads=1, report=False)

@@ -17,7 +17,7 @@ def _nothing_named_before(monkeypatch):
 
 
 def noted(make):
-    """Return what is said, each without its module."""
+    """Return the warnings, each without its module."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         make()

@@ -29,7 +29,7 @@ print(json.dumps([said, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - bef
 
 
 def loaded(path, **changes):
-    """Return what a table of cells is refused with, and how much memory it took, MB."""
+    """Return the refusal of a table of cells, and its memory, MB."""
     command = [sys.executable, "-c", LOADED, str(path), json.dumps(changes)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     said, kilobytes = json.loads(done.stdout)

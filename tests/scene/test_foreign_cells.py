@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import io
+import tracemalloc
 
 import numpy as np
 import pytest
 
 import multicell as mc
 from multicell.errors import DataError, SceneError
+from multicell.scene.foreign_cells import CellsChoice, foreign_cells
 
 PLACES = np.array([[120.0, 80.0, 10.0], [131.5, 80.0, 10.0], [120.0, 95.0, 22.0]])
 RADII = np.array([4.5, 4.75, 4.25])
@@ -112,8 +114,109 @@ def german():
     return rows
 
 
-NAMED = 'x="Pos X" um, y="Pos Y" um, z="Pos Z" um, radius=R um, type=Klasse'
 PIXEL = "pixel=0.5 um"
+
+
+def flat(head, row, between=","):
+    """Return a table in a plane: a row for each cell, of its number, place and area."""
+    rows = [row(k, p, np.pi * r**2) for k, (p, r) in enumerate(zip(PLACES, RADII, strict=True))]
+    return "\n".join([head, *(between.join(map(str, fields)) for fields in rows)]) + "\n"
+
+
+def deep(head, row, between=","):
+    """Return a table of cells in space: a row for each, of its number, place and radius."""
+    rows = [row(k, p, r) for k, (p, r) in enumerate(zip(PLACES, RADII, strict=True))]
+    return "\n".join([head, *(between.join(map(str, fields)) for fields in rows)]) + "\n"
+
+
+def commas(text):
+    """Return a table as a German Excel writes it."""
+    return text.replace(",", ";").replace(".", ",")
+
+
+MORE = {
+    "ROI manager": (
+        flat(" ,Label,Area,Mean,Min,Max,X,Y,Perim.,Circ.",
+             lambda k, p, a: (k + 1, f"00{k}-0080", a, 90, 3, 250, p[0], p[1], 30, 0.9)),
+        "pixel=1 um", "measurements of ImageJ"),
+    "ROI manager, centre of mass": (
+        flat(" \tArea\tMean\tXM\tYM\tFrame",
+             lambda k, p, a: (k + 1, a, 90, p[0], p[1], 1), "\t"),
+        "pixel=1 um", "columns between tabs"),
+    "CellProfiler, plane": (
+        flat("ImageNumber,ObjectNumber,AreaShape_Area,AreaShape_Center_X,AreaShape_Center_Y",
+             lambda k, p, a: (1, k + 1, 4 * a, 2 * p[0], 2 * p[1])),
+        PIXEL, "objects of CellProfiler"),
+    "CellProfiler, German Excel": (commas(cellprofiler()), PIXEL, "decimal commas"),
+    "Cellpose": (
+        flat(",label,area,centroid-0,centroid-1,mean_intensity",
+             lambda k, p, a: (k, k + 1, 4 * a, 2 * p[1], 2 * p[0], 7)),
+        PIXEL, "regions of scikit-image (Cellpose, StarDist)"),
+    "StarDist": (
+        deep("label,area,centroid-0,centroid-1,centroid-2,intensity_mean",
+             lambda k, p, r: (k + 1, volume(r), *(p[::-1] / 0.5), 7)),
+        PIXEL, "regions of scikit-image (Cellpose, StarDist)"),
+    "QuPath, nuclei": (
+        flat("Image\tClassification\tCentroid X µm\tCentroid Y µm\tNucleus: Area",
+             lambda k, p, a: ("a.tif", "Tumor", p[0], p[1], a), "\t"),
+        "", "detections of QuPath"),
+    "QuPath 0.2": (
+        flat("Image,Name,Class,Parent,ROI,Centroid X µm,Centroid Y µm,Area µm^2",
+             lambda k, p, a: ("a.tif", "x", "Tumor", "Root", "Polygon", p[0], p[1], a)),
+        "", "detections of QuPath"),
+    "napari, plane": (
+        flat("index,axis-0,axis-1", lambda k, p, a: (k, 2 * p[1], 2 * p[0])),
+        PIXEL, "points of napari"),
+    "PhysiCell Studio": (
+        deep("x,y,z,type,volume,cycle entry,custom:GFP",
+             lambda k, p, r: (*p, "default", volume(r, 1), "default", 0)),
+        "", "cells of PhysiCell"),
+    "PhysiCell without volumes": (
+        deep("x,y,z,type", lambda k, p, r: (*p, "default")), "", "cells of PhysiCell"),
+    "Icy": (
+        deep("Name\tX center\tY center\tZ center\tRadius",
+             lambda k, p, r: (f"ROI3D {k}", *p, r), "\t"),
+        'x="X center" um, y="Y center" um, z="Z center" um, radius=Radius um', "read: 3 cells"),
+    "btrack": (
+        deep("ID,t,x,y,z,parent,root,state,generation",
+             lambda k, p, r: (k, 0, *p, k, k, "interphase", 0)),
+        "x=x um, y=y um, z=z um, frame=t", "3 cells of frame 0"),
+    "Mastodon": (
+        deep("Label,ID,Spot frame,Spot position X,Spot position Y,Spot position Z,Spot radius",
+             lambda k, p, r: (k, k, 0, *p, r)),
+        'x="Spot position X" um, y="Spot position Y" um, z="Spot position Z" um, '
+        'radius="Spot radius" um, frame="Spot frame"', "3 cells of frame 0"),
+    "Morpheus": (
+        deep("time\tcell.id\tcell.center.x\tcell.center.y\tcell.center.z\tcell.volume",
+             lambda k, p, r: (0, k, *p, volume(r, 1)), "\t"),
+        "x=cell.center.x um, y=cell.center.y um, z=cell.center.z um, radius=cell.volume um^3",
+        "columns between tabs"),
+    "ParaView": (
+        deep('"radius","Points:0","Points:1","Points:2"', lambda k, p, r: (r, *p)),
+        'x="Points:0" um, y="Points:1" um, z="Points:2" um, radius=radius um', "read: 3 cells"),
+    "MATLAB": (
+        flat("Area,Centroid_1,Centroid_2", lambda k, p, a: (4 * a, 2 * p[0], 2 * p[1])),
+        "x=Centroid_1 pixel, y=Centroid_2 pixel, radius=Area pixel^2, pixel=0.5 um",
+        "read: 3 cells"),
+    "arivis": (
+        deep("Id;Centroid X (µm);Centroid Y (µm);Centroid Z (µm);Volume (µm³)",
+             lambda k, p, r: (k, *p, volume(r, 1)), ";"),
+        'x="Centroid X (µm)" um, y="Centroid Y (µm)" um, z="Centroid Z (µm)" um, '
+        'radius="Volume (µm³)" um^3', "columns between semicolons"),
+    "tracks of napari": (
+        deep("track_id,t,z,y,x", lambda k, p, r: (k, 0, *p[::-1])),
+        "x=x um, y=y um, z=z um, frame=t", "3 cells of frame 0"),
+    "ilastik, other titles": (
+        deep("object_id,timestep,Center of the object_0,Center of the object_1,"
+             "Center of the object_2,Size in pixels",
+             lambda k, p, r: (k, 0, *(p / 0.5), volume(r))),
+        'x="Center of the object_0" pixel, y="Center of the object_1" pixel, '
+        'z="Center of the object_2" pixel, radius="Size in pixels" pixel^3, pixel=0.5 um',
+        "read: 3 cells"),
+}  # fmt: skip
+
+
+NAMED = 'x="Pos X" um, y="Pos Y" um, z="Pos Z" um, radius=R um, type=Klasse'
 
 FILES = {
     "TrackMate": (trackmate(), "", "TrackMate spots: 3 cells; µm"),
@@ -132,10 +235,17 @@ FILES = {
     "napari": (napari(), PIXEL, "points of napari"),
     "PhysiCell": (physicell(), "", "cells of PhysiCell"),
     "named": (german(), NAMED, "columns between semicolons, decimal commas"),
+    **MORE,
 }
 TYPES = {name: {} for name in ("Tumor", "default", "live", "weich")}
-FLAT = ("QuPath", "ImageJ")
-WITHOUT_RADII = ("Imaris", "ilastik", "napari")
+FLAT = (
+    "QuPath", "ImageJ", "ROI manager", "ROI manager, centre of mass", "CellProfiler, plane",
+    "Cellpose", "QuPath, nuclei", "QuPath 0.2", "napari, plane", "MATLAB",
+)  # fmt: skip
+WITHOUT_RADII = (
+    "Imaris", "ilastik", "napari", "napari, plane", "PhysiCell without volumes", "btrack",
+    "tracks of napari",
+)  # fmt: skip
 
 
 def scene_of(path, columns="", dimensions=3, **more):
@@ -205,6 +315,11 @@ def test_a_simulation_takes_a_table_with_names_of_its_columns(tmp_path):
         ("X,Y\n", "x=X um, y=Y um", "holds no rows"),
         ("X,Y\n1,2\n1,b\n", "x=X 2 um, y=Y 2 um", "line 3, 'Y': is 'b', must be a number"),
         (cellprofiler(), "pixel=2 s", "pixel: is '2 s', must be a length"),
+        ("", "", "holds no data"),
+        (napari(), "", r"lengths whose unit it does not state.*pixel=0\.65 um"),
+        ("ROI;Spalte 1;Spalte 2\n1;2,5;3,5\n", "", r"is not a known column here"),
+        ("X,Y,R\n1,2,-3\n", "x=X um, y=Y um, radius=R um", r"line 2, 'radius.*is -3, must be"),
+        ("X,Y,R\n1,2,3\n", "x=X mm, y=Y kg, radius=R um", "has the unit 'kg', must be one like um"),
     ],
 )
 def test_what_cannot_be_read_is_refused_with_what_to_write(text, columns, said, tmp_path):
@@ -212,6 +327,29 @@ def test_what_cannot_be_read_is_refused_with_what_to_write(text, columns, said, 
     path.write_text(text)
     with pytest.raises((DataError, SceneError), match=said):
         scene_of(path, columns)
+
+
+def test_a_frame_of_a_table_without_frames_is_refused(tmp_path):
+    path = tmp_path / "cells.csv"
+    path.write_text("X,Y,Z\n1,2,3\n")
+    with pytest.raises(
+        SceneError, match=r"chooses from cells.csv, which has no column of the fram"
+    ):
+        scene_of(path, "x=X um, y=Y um, z=Z um", frame=2)
+
+
+def test_a_row_of_a_long_table_takes_bounded_memory(tmp_path):
+    """Of ten columns four are needed: 8 bytes a number, and lines; text is gone by then."""
+    head, *rows = trackmate().splitlines()[:1] + trackmate().splitlines()[4:5]
+    peaks = []
+    for count in (60_000, 180_000):
+        content = "\n".join([head, *rows * count]).encode()
+        tracemalloc.start()
+        foreign_cells(content, tmp_path / "spots.csv", CellsChoice("pixel=0.5 um"))
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        del content
+    assert (peaks[1] - peaks[0]) / 120_000 < 300.0  # 3 GB of ten million rows
 
 
 def workbook(rows, title="Cells"):
@@ -240,3 +378,22 @@ def test_a_formula_without_a_value_is_refused_by_its_cell(tmp_path):
     path.write_bytes(b"PK\x03\x04 and nothing more")
     with pytest.raises(DataError, match="is no Excel workbook"):
         scene_of(path, "x=X um, y=Y um")
+
+
+def test_a_workbook_of_a_known_program_is_recognised(tmp_path):
+    path = tmp_path / "spots.xlsx"
+    rows = [line.split(",") for line in trackmate(below=False, scale=0.5).splitlines()]
+    path.write_bytes(
+        workbook([rows[0], *([float(x) if "." in x else x for x in row] for row in rows[1:])])
+    )
+    table = scene_of(path, PIXEL).initial.cells
+    np.testing.assert_allclose(table.given.columns["radius"], RADII)
+    assert "spots.xlsx read as TrackMate spots: 3 cells" in table.said
+
+
+def test_an_own_export_is_read_without_a_word(tmp_path):
+    run = mc.run(mc.load_scene("growth").with_changes({"duration": "1 h", "initial.count": 3}))
+    run.frames[0].to_pandas().to_csv(tmp_path / "cells.csv", index=False)
+    table = scene_of(tmp_path / "cells.csv").initial.cells
+    assert table.said == ""
+    np.testing.assert_array_equal(table.given.columns["radius"], run.frames[0].cells.radius)

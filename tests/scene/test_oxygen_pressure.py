@@ -108,7 +108,8 @@ def test_a_concentration_stays_what_it_is():
 
 TOO_MUCH = {
     "boundary": 21.0, "media": [[0.0, 0.1], ["1 h", "1.1 mM"]], "sides.x-": {"value": 5.0},
-    "quiescence": 8.0, "necrosis": 2.0,
+    "quiescence": 8.0, "necrosis": 2.0, "hypoxia": 5.0, "necrosis_above": 90.0,
+    "growth_half_saturation": 5.0, "growth_inhibition": 60.0,
 }  # fmt: skip
 
 
@@ -126,6 +127,15 @@ def test_more_oxygen_than_dissolves_is_refused(key):
     other = {"nutrients.glucose": {"necrosis": 1e-3, "quiescence": 9.0}}
     if key == "boundary":
         load_scene("spheroid").with_changes({**other, "nutrients.glucose.boundary": 21.0})
+
+
+@pytest.mark.parametrize("keys", [{"law": "hill", "half": 5}, {"law": "threshold", "half": "8 mM"},
+                                  {"law": "linear", "begin": 0.1, "end": 21},
+                                  {"law": "table", "points": [[0.0, 0.0], [21, 1.0]]}])  # fmt: skip
+def test_responses_to_more_than_dissolves_are_refused(keys):
+    response = {"behaviour": "growth rate", "signal": "oxygen", **keys}
+    with pytest.raises(SceneError, match="under pure oxygen water dissolves"):
+        load_scene("spheroid").with_changes({"responses": [response]})
 
 
 @pytest.mark.parametrize(("level", "celsius"), [("100 %", 37), (1.0, 37), ("100 %", 10), (1.0, 60)])

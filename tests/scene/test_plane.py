@@ -13,6 +13,7 @@ from multicell.report.plots import contacts as contact_plots
 from multicell.report.wording import measures
 from multicell.results import observables
 from multicell.results.frame import Frame
+from multicell.results.observable import TissueState
 from multicell.results.summary import history_row
 from multicell.simulation import Simulation
 
@@ -188,9 +189,9 @@ def test_pressure_factor_by_hand():
              State.PROLIFERATING, State.NECROTIC]  # fmt: skip
     cells = cells_at(position, state=state, pressure=pressure)
     scene = mc.Scene.from_dict({"duration": "1 h", "growth": {"critical_pressure": 0.1}})
-    row = history_row(scene, Frame(0.0, 0, cells, {}))
+    row = history_row(TissueState(Frame(0.0, 0, cells, {}), scene))
     assert row["pressure_factor"] == pytest.approx((1 + 1 + 0.5 + 0.6 + 0) / 5)
-    none = history_row(scene, Frame(0.0, 0, cells.take(np.array([5])), {}))
+    none = history_row(TissueState(Frame(0.0, 0, cells.take(np.array([5])), {}), scene))
     assert np.isnan(none["pressure_factor"])
 
 
@@ -208,3 +209,15 @@ def test_a_contact_inhibited_monolayer_tells_that_it_is(tmp_path):
     free = mc.run(scene.with_changes({"growth.critical_pressure": None, "duration": "15 min"}))
     assert "pressure_factor" not in free.history
     assert "pressure_factor" not in free.summary()
+
+
+@pytest.mark.parametrize("friction", [{"normal": 0.2}, {"tangential": 0.2}])
+@pytest.mark.parametrize("method", ["rkc2", "auto", "cvode", "backward-euler"])
+def test_friction_leaves_cells_in_their_plane(method, friction):
+    """An estimate of stability looks beside the plane: nothing of it stays in the next guess."""
+    scene = mc.load_scene("settle").with_changes(
+        {"dimensions": 2, "initial.count": 12, "friction": friction, "duration": "5 min",
+         "integrator": {"method": method}}
+    )  # fmt: skip
+    result = mc.run(scene, threads=1)
+    assert (result.frames[-1].cells.position[:, 2] == 0.0).all()

@@ -1,4 +1,4 @@
-"""What a scene says of reactions: units, round trips, and what is refused with its place."""
+"""Reactions of a scene: units, round trips, and refusals with their places."""
 
 import pytest
 

@@ -61,7 +61,7 @@ def test_scenes_load_or_are_refused_by_name(request):
 def test_small_scenes_run_to_finite_numbers_or_fail_by_name(request):
     counts = searched(request, "run", "--runs")
     assert {name.split(" ")[0] for name in counts} <= {"ran", "refused", "StepFailed"}
-    assert counts["ran"] / counts.total() > 0.6, "the search runs too little"
+    assert counts["ran"] / counts.total() > 0.4, "the search runs too little"
 
 
 @pytest.mark.harness
@@ -213,6 +213,11 @@ CANNOT_START = {
         {"initial": {"count": 2, "spacing": 1e6},
          "nutrients": {"o2": {"geometry": "radial", "spacing": 0.5}}},
         "nutrients.o2.spacing",
+    ),
+    "a crowd": ({"initial": {"count": 20_000, "spacing": 1e-3}}, "initial.spacing"),
+    "cells at one point": ({"initial": {"count": 20_000, "spacing": 1e-300}}, "initial.spacing"),
+    "a crowd in a plane": (
+        {"dimensions": 2, "initial": {"count": 20_000, "spacing": 0.01}}, "initial.spacing"
     ),
     "a plane of too many squares": (
         {"dimensions": 2,

@@ -182,6 +182,10 @@ def test_far_names_get_no_suggestion():
     assert "Did you mean" not in near_miss("qqq", ["length"])
 
 
+def test_names_that_differ_by_case_are_all_listed():
+    assert near_miss("qqq", ["K_hif", "k_hif"]) == "Allowed: K_hif, k_hif"
+
+
 def test_missing_key():
     with pytest.raises(SceneError) as caught:
         build_part(Outer, {}, "outer")

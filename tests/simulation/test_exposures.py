@@ -48,7 +48,7 @@ FIELDS = {"steady": RISING, "transient": PERFUSED}
 
 
 def concentration(kind, t):
-    """Return what the cells find at a time in h, mM: by hand."""
+    """Return the concentration at cells at a time in h, mM: by hand."""
     begin, end = 0.713, 3.377
     if kind == "steady":
         return np.interp(t, [begin, 2.05, end], [0.0, 1.0, 0.0])
@@ -237,6 +237,38 @@ def test_a_short_pulse_kills_at_each_length_of_step():
     for step in (15, 10, 2.5):
         cells = finished(scene.with_changes({"coupling_step": f"{step} min"})).cells
         assert (cells.state == State.NECROTIC).all()
+
+
+SHIELDED = {
+    "initial.count": 100,
+    "duration": "1.2 h",
+    "death.damage_time": "15 min",
+    "nutrients.drug.regime": "transient",
+    "nutrients.drug.media": [["0.53 h", "3.5e-3 mM"], ["0.8633 h", "0 mM"]],
+}
+"""A pulse of 20 min that kills after 15 min of it, and that living cells keep from those within."""
+
+
+def killed(step, **changes):
+    """Return the dead of a shielded pulse, and by how many the run says that these may be off."""
+    scene = mc.load_scene("dosing").with_changes({**SHIELDED, "coupling_step": step, **changes})
+    simulation = finished(scene)
+    return int(simulation.cells.dead.sum()), abs(simulation.exposures["error"])
+
+
+def test_a_pulse_that_cells_shield_each_other_from_kills_at_each_length_of_step():
+    """Cells of one size; read at the ends of steps, 15 and 10 min let half of them live."""
+    dead = [killed(f"{step} min", growth=None)[0] for step in (15, 10, 2.5, 1)]
+    assert dead[-1] > 70
+    np.testing.assert_allclose(dead, dead[-1], rtol=0.05)
+
+
+def test_deaths_that_expose_others_in_the_same_step_are_in_the_reported_error():
+    fine = killed("1 min", seed=0)[0]
+    for step in ("10 min", "5 min"):
+        dead, reported = killed(step, seed=0)
+        assert abs(dead - fine) > 3  # more than the rates alone say, which is below one
+        assert 0.5 * abs(dead - fine) < reported < 5.0 * abs(dead - fine)
 
 
 def test_a_dose_that_comes_and_goes_within_a_step_kills_at_once():

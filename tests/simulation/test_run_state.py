@@ -99,9 +99,9 @@ def plain(value):
 
 
 def parts(state):
-    """Return what a state holds by name; entries of the fields' state by their own names."""
+    """Return the parts of a state by name; entries of the fields' state by their own names."""
     found = {f.name: getattr(state, f.name) for f in fields(state) if f.name != "fields"}
-    found |= state.fields._asdict() | {"timeline": (state.timeline.step, state.timeline.time)}
+    found |= state.fields._asdict() | {"timeline": (state.timeline.step_index, state.timeline.time)}
     return {name: plain(value) for name, value in found.items()}
 
 

@@ -1,4 +1,4 @@
-"""What a step of few cells costs in calls, and what it does not do again."""
+"""Calls in a step of few cells, and work that it does not repeat."""
 
 import math
 import sys

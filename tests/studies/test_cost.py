@@ -1,4 +1,4 @@
-"""What a study is expected to take is told, kept, and asked for."""
+"""Predicted cost of a study: reported, stored, and used."""
 
 import pytest
 

@@ -69,7 +69,7 @@ def test_another_user_has_nothing_run(client, protocol, tmp_path):
 
 
 def answer(port, wrapped):
-    """Return what a port says to somebody without a certificate who asks for a page."""
+    """Return the answer of a port to somebody without a certificate who asks for a page."""
     with socket.create_connection(("127.0.0.1", port), timeout=5) as plain:
         plain.settimeout(5)
         context = ssl.create_default_context()

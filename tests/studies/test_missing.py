@@ -1,4 +1,4 @@
-"""What is loaded only where it is needed."""
+"""Packages that are loaded only where they are needed."""
 
 import subprocess
 import sys

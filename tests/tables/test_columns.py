@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from multicell.errors import DataError
-from multicell.tables.columns import from_bytes, from_object
+from multicell.tables.columns import from_bytes, from_object, refuse_twins
 from multicell.tables.titles import Title, read_title, split_title, titled
 
 KNOWN = {"radius": "um", "phase": "", "phase_length": "s", "stress": "kPa", "flow": "nN/um"}
@@ -49,6 +49,25 @@ def test_lines_are_those_of_the_file():
     table = from_bytes(b"\xef\xbb\xbf# a\n\n x, y\r\n1,2\r\n,,\n# b\n3,4\n", "t.csv")
     assert table.lines.tolist() == [4, 7]
     assert table.columns["x"].tolist() == [1, 3]
+
+
+class Counted(str):
+    """A title that counts how often one is compared with another."""
+
+    compared = 0
+    __hash__ = str.__hash__
+
+    def __eq__(self, other):
+        Counted.compared += 1
+        return str.__eq__(self, other)
+
+
+def test_two_columns_of_one_title_are_found_by_a_look_at_each():
+    titles = [Counted(f"cell {k}") for k in range(3000)]
+    refuse_twins(titles, "t")
+    assert Counted.compared < 10 * len(titles)
+    with pytest.raises(DataError, match="t, 'cell 7': is the title of two columns"):
+        refuse_twins([*titles, Counted("cell 7")], "t")
 
 
 @pytest.mark.parametrize(

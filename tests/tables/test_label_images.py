@@ -138,3 +138,98 @@ def test_a_run_starts_from_an_image(tmp_path):
     )
     run = mc.run(scene)
     np.testing.assert_allclose(np.sort(run.frames[0].cells.radius), [6.0, 8.0], rtol=0.02)
+
+
+def channels():
+    """Return two channels in which the first cell has 100 and 7, the second 30 and 9."""
+    labels = flat()
+    red, green = (np.choose(labels, [5.0, *level]) for level in ((100.0, 30.0), (7.0, 9.0)))
+    return np.stack([red, green]).astype(np.float32)
+
+
+def test_mean_intensities_of_labels_are_columns(tmp_path):
+    for name, axes, image in (("cyx.tif", "CYX", channels()), ("one.tif", "YX", channels()[0])):
+        (tmp_path / name).write_bytes(saved(image, metadata={"axes": axes}, ome=True))
+    (tmp_path / "labels.tif").write_bytes(saved(flat()))
+    table = mc.read_cells(tmp_path / "labels.tif", "pixel=0.5 um, image=cyx.tif")
+    assert table["intensity_0"].tolist() == [100.0, 30.0]
+    assert table["intensity_1"].tolist() == [7.0, 9.0]
+    np.testing.assert_allclose(table["x / um"], PAIR[0][:, 1], atol=0.01)
+    one = mc.read_cells(tmp_path / "labels.tif", "pixel=0.5 um, image=one.tif")
+    assert one["intensity"].tolist() == [100.0, 30.0]
+
+
+def test_types_by_intensity_start_a_run(tmp_path):
+    (tmp_path / "raw.tif").write_bytes(saved(channels()[0]))
+    (tmp_path / "labels.tif").write_bytes(saved(flat()))
+    table = mc.read_cells(tmp_path / "labels.tif", "pixel=0.5 um, image=raw.tif")
+    table["type"] = np.where(table["intensity"] > 50.0, "bright", "dark").astype(object)
+    scene = mc.Scene(duration="1 h", dimensions=2, types={"bright": {}, "dark": {}})
+    scene = scene.with_changes({"cells.division_radius": "9 um"})
+    start = mc.Simulation(scene, cells=table).cells
+    assert sorted(zip(start.radius.round(), start.kind, strict=True)) == [(6.0, 1), (8.0, 0)]
+
+
+def test_an_intensity_can_be_a_value_of_a_network():
+    found, said = cells_of_image(
+        saved(flat()), "l.tif", parse_map("pixel=0.5 um, energy.ATP=intensity"), None,
+        (saved(channels()[0]), "raw.tif"),
+    )  # fmt: skip
+    assert found["energy.ATP"].tolist() == [100.0, 30.0]
+    assert said.endswith("mean intensity of raw.tif in 1 channel")
+
+
+def test_an_image_of_another_size_is_refused():
+    small = saved(channels()[0][:, :-1])
+    with pytest.raises(DataError, match=r"raw.tif: has 100 × 119 pixels .* 100 × 120"):
+        cells_of_image(saved(flat()), "l.tif", parse_map("pixel=1 um"), None, (small, "raw.tif"))
+
+
+def test_intensities_of_a_stack_are_those_of_its_voxels():
+    labels, gray = np.zeros((4, 20, 20), np.uint16), {"photometric": "minisblack"}
+    labels[1:3, 5:9, 5:9], labels[:2, 12:15, 12:15] = 1, 2
+    image = np.random.default_rng(0).random((4, 20, 20)).astype(np.float32)
+    found, _ = cells_of_image(
+        saved(labels, **gray),
+        "l.tif",
+        parse_map("pixel=1 um"),
+        None,
+        (saved(image, **gray), "raw.tif"),
+    )
+    wanted = [image[labels == k].mean() for k in (1, 2)]
+    np.testing.assert_allclose(found["intensity"], wanted, rtol=1e-6)
+
+
+@pytest.mark.parametrize("which", ["labels", "image"])
+def test_damaged_images_are_read_or_refused_in_words(which):
+    """Forty cuts and changed bytes of each file: no error of a library comes through."""
+    whole = {"labels": saved(flat()), "image": saved(channels()[0])}
+    random, refused = np.random.default_rng(7), 0
+    for trial in range(40):
+        content = bytearray(whole[which])
+        if trial % 2:
+            content = content[: int(random.integers(4, len(content)))]
+        else:  # tags stand at the beginning, or at the end
+            places = random.integers(4, 400, 6)
+            for place in places:
+                content[place] = int(random.integers(256))
+        files = whole | {which: bytes(content)}
+        try:
+            cells_of_image(
+                files["labels"], "l.tif", parse_map("pixel=1 um"), None, (files["image"], "raw.tif")
+            )
+        except (DataError, SceneError):
+            refused += 1
+    assert refused > 10
+
+
+def test_pages_that_lead_back_to_one_before_are_refused():
+    """Of two pages the second names the first as the next one."""
+    content = bytearray(saved(np.stack([flat(), flat()]), photometric="minisblack"))
+    with tifffile.TiffFile(io.BytesIO(content)) as file:
+        first, second = file.pages
+        size = file.tiff.offsetsize
+        place = second.offset + file.tiff.tagnosize + len(second.tags) * file.tiff.tagsize
+        content[place : place + size] = first.offset.to_bytes(size, "little")
+    with pytest.raises(DataError, match="pages that lead back"):
+        cells_of_image(bytes(content), "l.tif", parse_map("pixel=1 um"), None)

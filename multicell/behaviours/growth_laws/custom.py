@@ -54,20 +54,22 @@ class UserGrowthLaw(OwnLaw, GrowthLaw):
             problem = f"make the rate of growth {rate[poor[0]]:g} {at}, must be above zero up to 2"
             raise SceneError("", problem, "A cell never reaches the division volume otherwise.")
 
-    def rate(self, volume: FloatArray, birth: float = 1.0) -> FloatArray:
+    def rate(self, volume: FloatArray, birth: float | FloatArray = 1.0) -> FloatArray:
         """Return g(V) T."""
         return np.asarray(birth * self._cycle() * self._shape(np.asarray(volume) / birth))
 
-    def volume_after(self, volume: FloatArray, share: FloatArray, birth: float = 1.0) -> FloatArray:
+    def volume_after(
+        self, volume: FloatArray, share: FloatArray, birth: float | FloatArray = 1.0
+    ) -> FloatArray:
         """Return the volumes after a share of a cycle without limits, (n,)."""
         begin, given = np.broadcast_arrays(np.asarray(volume, dtype=float) / birth, share)
-        after, step = begin, given * (self._cycle() / _SUBSTEPS)
+        after, dt = begin, given * (self._cycle() / _SUBSTEPS)
         for _ in range(_SUBSTEPS):
             first = self._shape(after)
-            second = self._shape(after + 0.5 * step * first)
-            third = self._shape(after + 0.5 * step * second)
-            fourth = self._shape(after + step * third)
-            after = after + step / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
+            second = self._shape(after + 0.5 * dt * first)
+            third = self._shape(after + 0.5 * dt * second)
+            fourth = self._shape(after + dt * third)
+            after = after + dt / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
         for _ in range(_CORRECTIONS):
             missing = given * self._cycle() - self._time(begin, after)
             after = after + missing * self._shape(after)
@@ -112,7 +114,7 @@ def growth_law(*, parameters: Mapping[str, Any]) -> Callable[[Rate], type[UserGr
     Returns
     -------
     A class of laws: ``scene.with_changes({"growth.law": law(exponent=0.75)})`` takes one of them.
-    :func:`multicell.testing.check_growth_law` reports what does not hold.
+    :func:`multicell.testing.check_growth_law` reports broken promises.
 
     Raises
     ------

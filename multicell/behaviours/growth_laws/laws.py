@@ -37,18 +37,21 @@ if TYPE_CHECKING:
 class GrowthLaw(ABC):
     """A law of growth with its parameters; laws are frozen dataclasses.
 
-    Volumes are in any unit, with ``birth`` the volume at birth in the same one.
+    Volumes are in any unit, with ``birth`` the volume at birth in the same one: one number, or (n,)
+    where types divide at volumes of their own.
     """
 
     constant: ClassVar[bool] = False
     """Whether the rate is the same at every volume: a step then is a product."""
 
     @abstractmethod
-    def rate(self, volume: FloatArray, birth: float = 1.0) -> FloatArray:
+    def rate(self, volume: FloatArray, birth: float | FloatArray = 1.0) -> FloatArray:
         """Return g(V) T, the growth of volume in a cycle at the rate of a volume, (n,)."""
 
     @abstractmethod
-    def volume_after(self, volume: FloatArray, share: FloatArray, birth: float = 1.0) -> FloatArray:
+    def volume_after(
+        self, volume: FloatArray, share: FloatArray, birth: float | FloatArray = 1.0
+    ) -> FloatArray:
         """Return the volumes after a share of a cycle without limits, (n,)."""
 
     @abstractmethod
@@ -66,11 +69,13 @@ class LinearGrowth(GrowthLaw):
 
     constant: ClassVar[bool] = True
 
-    def rate(self, volume: FloatArray, birth: float = 1.0) -> FloatArray:
+    def rate(self, volume: FloatArray, birth: float | FloatArray = 1.0) -> FloatArray:
         """Return V_b."""
         return np.full(np.shape(volume), birth)
 
-    def volume_after(self, volume: FloatArray, share: FloatArray, birth: float = 1.0) -> FloatArray:
+    def volume_after(
+        self, volume: FloatArray, share: FloatArray, birth: float | FloatArray = 1.0
+    ) -> FloatArray:
         """Return V + V_b s."""
         return np.asarray(volume + birth * share)
 
@@ -84,11 +89,13 @@ class LinearGrowth(GrowthLaw):
 class ExponentialGrowth(GrowthLaw):
     """A rate that is proportional to the volume."""
 
-    def rate(self, volume: FloatArray, birth: float = 1.0) -> FloatArray:
+    def rate(self, volume: FloatArray, birth: float | FloatArray = 1.0) -> FloatArray:
         """Return ln(2) V."""
         return np.asarray(math.log(2.0) * volume)
 
-    def volume_after(self, volume: FloatArray, share: FloatArray, birth: float = 1.0) -> FloatArray:
+    def volume_after(
+        self, volume: FloatArray, share: FloatArray, birth: float | FloatArray = 1.0
+    ) -> FloatArray:
         """Return V 2^s."""
         return np.asarray(volume / np.exp(-math.log(2.0) * share))
 
@@ -115,11 +122,13 @@ class RelaxationGrowth(GrowthLaw):
         largest = 2.0 * self.target
         return math.log((largest - 1.0) / (largest - 2.0))
 
-    def rate(self, volume: FloatArray, birth: float = 1.0) -> FloatArray:
+    def rate(self, volume: FloatArray, birth: float | FloatArray = 1.0) -> FloatArray:
         """Return r T (K - V)."""
         return np.asarray(self.exponent * (2.0 * birth * self.target - volume))
 
-    def volume_after(self, volume: FloatArray, share: FloatArray, birth: float = 1.0) -> FloatArray:
+    def volume_after(
+        self, volume: FloatArray, share: FloatArray, birth: float | FloatArray = 1.0
+    ) -> FloatArray:
         """Return K - (K - V) e^{-rt}."""
         largest = 2.0 * birth * self.target
         return np.asarray(largest - (largest - volume) * np.exp(-self.exponent * share))

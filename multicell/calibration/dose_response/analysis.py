@@ -319,9 +319,10 @@ def of_table(source: Any, columns: str | None = None, where: str | None = None) 
     pair = "dose A" in place_of or "dose B" in place_of
     drugs = list(DOSES[2] if pair else DOSES[1])
     allowed = [*drugs, "response", "replicate", *_WRITTEN]
+    named = Counter(name for name, _ in known)
     for (name, _), title in zip(known, table.titles, strict=True):
-        if [other for other, _ in known].count(name) > 1:
-            raise DataError(f"{table.name}, '{title}'", "is the title of two place_of")
+        if named[name] > 1:
+            raise DataError(f"{table.name}, '{title}'", "has the name of another column, too")
         if name not in allowed:
             raise unknown_title(title, dict.fromkeys(allowed[:-3], ""), table.name)
     for name in (*drugs, "response"):

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
 
+from multicell.calibration.shared.confidence import TAILS
 from multicell.errors import FitFailed
 
 if TYPE_CHECKING:
@@ -39,7 +40,6 @@ DOSES: Final[Mapping[int, tuple[str, ...]]] = {1: ("dose",), 2: ("dose A", "dose
 TOTALS: Final = {"bliss_excess": "mean Bliss excess", "loewe_index": "mean Loewe index"}
 # steepness of Hill curves that is fitted: data say nothing of a flatter or steeper one
 _SLOPES: Final = (0.1, 20.0)
-_TAILS: Final = (0.025, 0.975)  # ends of central intervals of 95 %
 
 
 @final
@@ -95,7 +95,7 @@ class DoseCurve:
 
     def band(self, doses: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the ends of the 95 % interval of the curve at doses above zero."""
-        low, high = np.nanquantile(hill(doses, self.draws), _TAILS, axis=0)
+        low, high = np.nanquantile(hill(doses, self.draws), TAILS, axis=0)
         return low, high
 
     def dose_at(self, level: float) -> float:
@@ -287,8 +287,8 @@ def _quantiles(draws: FloatArray, least: float = -math.inf) -> tuple[float, floa
     if not len(draws):
         return math.nan, math.nan
     low, high = (np.where(np.isnan(draws), beyond, draws) for beyond in (least, np.inf))
-    first = np.quantile(low, _TAILS[0], method="inverted_cdf")
-    return float(first), float(np.quantile(high, _TAILS[1], method="inverted_cdf"))
+    first = np.quantile(low, TAILS[0], method="inverted_cdf")
+    return float(first), float(np.quantile(high, TAILS[1], method="inverted_cdf"))
 
 
 def _estimate(value: float, draws: FloatArray, least: float = -math.inf) -> Estimate:
@@ -320,7 +320,7 @@ def _dose(value: float, draws: FloatArray, lowest: float, largest: float, unit: 
 def combine_drugs(
     points: FloatArray, viability: FloatArray, draws: FloatArray | None, curves: Sequence[DoseCurve]
 ) -> tuple[list[dict[str, float | bool]], dict[str, Estimate]]:
-    """Compare two drugs together with what each does alone.
+    """Compare two drugs together with each drug alone.
 
     ``bliss_excess`` is E_A E_B - E_AB, with the viabilities at each dose alone: above zero fewer
     survive than if the drugs acted independently (Bliss 1939). ``loewe_index`` is

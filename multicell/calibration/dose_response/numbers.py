@@ -41,7 +41,7 @@ class DoseNumbers:
 
     @property
     def ic50(self) -> Estimate:
-        """The dose of the first drug at which half is left of what the control has."""
+        """The dose of the first drug at which half of the control is left."""
         return self.curve.ic50
 
     def to_csv(self) -> str:

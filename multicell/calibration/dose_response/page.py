@@ -180,9 +180,9 @@ def _draw_map(axes: Axes, result: DoseNumbers, name: str, title: str, neutral: f
         text = f"{round(row[name], 2) + 0.0:.2f}" if np.isfinite(row[name]) else "–"
         axes.text(x + 0.5, y + 0.5, text, ha="center", va="center", fontsize=11, **how)
     for axis, side, curve in zip((axes.xaxis, axes.yaxis), sides, result.curves, strict=True):
-        step = -(-len(side) // 10)
+        stride = -(-len(side) // 10)
         axis.set_ticks(
-            [k + 0.5 for k in range(0, len(side), step)], [number_text(v) for v in side[::step]]
+            [k + 0.5 for k in range(0, len(side), stride)], [number_text(v) for v in side[::stride]]
         )
         axis.set_label_text(_label(curve))
     axes.grid(False)

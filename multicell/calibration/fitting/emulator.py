@@ -40,6 +40,13 @@ _ABOVE: Final = 3  # readings above zero without which nothing is known of what 
 _JITTER: Final = 1e-10  # of the diagonal of covariances, in variances of the values
 _DIFFERENCE: Final = 1e-7  # step of slopes, in parts of a range
 _SWEEPS: Final = 60  # of expectation propagation, at most
+_OLD, _NEW = 0.3, 0.7  # parts of the factors before and found in a sweep: undamped they may swing
+_SETTLED: Final = 1e-4  # change of precisions, over the largest, that ends the sweeps
+_TELLING: Final = 1e-8  # precision below which a reading says nothing
+_POSITIVE: Final = 1e-12  # least variance and precision, where rounding leaves none
+_WALK: Final = 2.38
+"""Size of Metropolis steps, over √d standard deviations: the best one for a normal posterior in
+many dimensions d (Gelman, Roberts & Gilks 1996, Bayesian Statistics 5, 599)."""
 _DENIED: Final = 4.0
 """Standard deviations above zero at which the readings around a reading of zero deny it."""
 
@@ -327,8 +334,8 @@ def _targets(
             np.eye(len(mean)) + root[:, None] * spread * root, root[:, None] * spread
         )
         after = spread - (spread * root) @ inner
-        variance = np.maximum(np.diag(after), 1e-12)
-        without = 1.0 / np.maximum(1.0 / variance - precision, 1e-12)
+        variance = np.maximum(np.diag(after), _POSITIVE)
+        without = 1.0 / np.maximum(1.0 / variance - precision, _POSITIVE)
         centre = without * ((mean + after @ (shift - precision * mean)) / variance - shift)
         # moments of a normal number that is not above the lowest one
         place = (lowest - centre) / np.sqrt(without)
@@ -337,10 +344,11 @@ def _targets(
         wanted = np.maximum(1.0 / cut - 1.0 / without, 0.0)
         pulled = (centre - np.sqrt(without) * ratio) / cut - centre / without
         change = np.abs(wanted - precision).max()
-        precision, shift = 0.3 * precision + 0.7 * wanted, 0.3 * shift + 0.7 * pulled
-        if change <= 1e-4 * precision.max():
+        precision = _OLD * precision + _NEW * wanted
+        shift = _OLD * shift + _NEW * pulled
+        if change <= _SETTLED * precision.max():
             break
-    telling = precision > 1e-8
+    telling = precision > _TELLING
     targets, used = values.copy(), ~hidden
     places = np.flatnonzero(hidden)[telling]
     used[places] = True
@@ -369,10 +377,10 @@ def draws(loss: Loss, prior: Prior, seed: int, count: int = PARTICLES) -> Array:
     losses = loss(found)
     power = 0.0
     while power < 1.0:
-        step = _step(losses, 1.0 - power)
-        power = 1.0 if step >= 1.0 - power else power + step
+        rise = _step(losses, 1.0 - power)
+        power = 1.0 if rise >= 1.0 - power else power + rise
         places = (random.random() + np.arange(count)) / count  # systematic resampling
-        rows = np.searchsorted(np.cumsum(_weights(losses, step)), places)
+        rows = np.searchsorted(np.cumsum(_weights(losses, rise)), places)
         chosen = np.minimum(rows, count - 1)
         found, losses = _move(loss, prior, found[chosen], losses[chosen], power, random)
     return found
@@ -380,7 +388,6 @@ def draws(loss: Loss, prior: Prior, seed: int, count: int = PARTICLES) -> Array:
 
 def best_of(loss: Loss, prior: Prior, found: Array) -> Array:
     """Return the parameters of least loss and prior, (d,), descended to from the best of some."""
-    from scipy.optimize import minimize
 
     def value_and_slope(x: Array) -> tuple[float, Array]:
         steps = np.where(x < 0.5, _DIFFERENCE, -_DIFFERENCE)
@@ -389,9 +396,7 @@ def best_of(loss: Loss, prior: Prior, found: Array) -> Array:
         return float(found[0]), (found[1:] - found[0]) / steps
 
     start = found[np.argmin(loss(found) + prior.loss(found))]
-    bounds = [(0.0, 1.0)] * len(start)
-    down = minimize(value_and_slope, start, jac=True, method="L-BFGS-B", bounds=bounds)
-    return np.asarray(np.clip(down.x, 0.0, 1.0))
+    return prior.constraints.descend(value_and_slope, start, range(len(start)))
 
 
 def _move(
@@ -405,7 +410,7 @@ def _move(
     """Return draws after Metropolis steps at a power of the likelihood."""
     dimensions = found.shape[1]
     spread = np.atleast_2d(np.cov(found.T)) + 1e-12 * np.eye(dimensions)
-    root = np.linalg.cholesky(spread) * 2.38 / np.sqrt(dimensions)
+    root = np.linalg.cholesky(spread) * _WALK / np.sqrt(dimensions)
     before = prior.loss(found)
     for _ in range(_MOVES):
         tried = found + random.standard_normal(found.shape) @ root.T

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -16,13 +16,15 @@ from multicell.calibration.fitting.likelihood import (
 )
 from multicell.calibration.fitting.plan import FitPlan, Progress, make_runs, write_result
 from multicell.calibration.fitting.pool import open_pool
-from multicell.calibration.fitting.problem import FitProblem, free_of
+from multicell.calibration.fitting.problem import SCATTERS, FitProblem, free_of
 from multicell.calibration.fitting.result import Fit
 from multicell.calibration.fitting.simulator import SceneSimulator
+from multicell.calibration.fitting.unknown_scatter import check_scatter
 from multicell.errors import SceneError
 from multicell.host.extras import needs
 from multicell.measured.data import ASSUMED, read_data
 from multicell.measured.table import read_measurements
+from multicell.schema import chosen
 from multicell.studies.limits import MAX_RUNS, check_cores, check_runs, check_seeds, whole_between
 
 if TYPE_CHECKING:
@@ -43,6 +45,8 @@ def fit(
     budget: int | None = None,
     sd: float = ASSUMED,
     specimens: str = "same",
+    scatter: str = "stated",
+    constraints: str | Sequence[str] = (),
     columns: str | Mapping[str, str] | None = None,
     where: str | None = None,
     cores: int | None = None,
@@ -81,6 +85,11 @@ def fit(
     specimens
         ``"single"``: each row is another specimen, measured once, also without a column that
         says so.
+    scatter
+        ``"unknown"``: the errors of each observable have an unknown size, a factor on what is
+        stated (or on ``sd``) that is fitted too.
+    constraints
+        Orders of two free parameters, ``"necrosis < quiescence"``, or several.
     columns
         What the columns of the data are, ``"day=Day, radius=R um"``; absent: what their titles say.
     where
@@ -118,6 +127,8 @@ def fit(
         budget=budget,
         sd=sd,
         specimens=specimens,
+        scatter=scatter,
+        constraints=constraints,
         columns=columns,
         where=where,
         simulator=simulator,
@@ -142,6 +153,8 @@ def plan_fit(
     budget: int | None = None,
     sd: float = ASSUMED,
     specimens: str = "same",
+    scatter: str = "stated",
+    constraints: str | Sequence[str] = (),
     columns: str | Mapping[str, str] | None = None,
     where: str | None = None,
     simulator: Simulator | None = None,
@@ -152,16 +165,19 @@ def plan_fit(
     if isinstance(scene, str | Path):
         scene = load_scene(scene)
     seeds = check_seeds(seeds, scene.seed)
+    chosen(scatter, SCATTERS, "scatter")
     whole_between(
         "repeats", repeats, MIN_REPEATS, MAX_REPEATS, "It is the number of runs with fresh seeds."
     )
     table = read_measurements(data, columns, where)
     measured = read_data(table, scene, sd=sd, specimens=specimens)
-    ranges, prior = free_of(free, measured)
+    ranges, prior = free_of(free, measured, constraints)
     check_runs(len(measured.conditions), seeds)
     simulator = simulator or SceneSimulator.of(measured, ranges)
     numbers = tuple(range(scene.seed, scene.seed + seeds))
-    problem = FitProblem(measured, ranges, simulator, numbers, prior)
+    problem = FitProblem(measured, ranges, simulator, numbers, prior, scatter)
+    if scatter == "unknown":
+        check_scatter(problem)
     points = _points(problem, budget, most_fresh(repeats) + CHECKS)
     extra = points // 2 if budget is None else 0
     return FitPlan(problem, scene, table, points, sd, repeats, specimens, extra)

@@ -14,14 +14,14 @@ point.
 S has R - 1 degrees of freedom, often fewer than there are data. It serves twice. The data are
 weighted by the inverse of C with S shrunk (Ledoit & Wolf 2004, J. Multivariate Anal. 88, 365, of
 its correlations; at least by a tenth), which decides how well parameters are determined and not
-whether intervals are right. What these weights make of the scatter along the few directions in
-which the parameters move the data has a covariance V of that many dimensions. It is estimated
-without shrinkage, and each run with weights in which it had no part: weights seek out what happens
-to scatter little in the runs that they come from, which would make V too small. The likelihood
-along these directions is Hotelling's, a multivariate Student's with ν - k + 1 degrees of freedom
-for k directions; ν is R - 1, or more where errors of measurement, which are known, make
-most of V (Satterthwaite). The other directions, in which all parameters are alike except for
-curvature, count as normal.
+whether intervals are right. Weighted so, the scatter along the few directions in which the
+parameters move the data has a covariance V of that many dimensions. It is estimated without
+shrinkage, and each run with weights in which it had no part: weights seek out what happens to
+scatter little in the runs that they come from, which would make V too small. The likelihood along
+these directions is Hotelling's, a multivariate Student's with ν - k + 1 degrees of freedom for k
+directions; ν is R - 1, or more where errors of measurement, which are known, make most of V
+(Satterthwaite). The other directions, in which all parameters are alike except for curvature, count
+as normal.
 
 Runs at draws from the intervals check the emulator where it is used (:func:`fresh`): where it is
 further off at a datum than scatter and its own error explain, that error is raised to what was
@@ -41,6 +41,7 @@ from multicell.calibration.fitting.emulator import ENOUGH_DRAWS, PARTICLES, Emul
 from multicell.calibration.fitting.pool import Pool
 from multicell.calibration.fitting.problem import FitProblem, misfit
 from multicell.calibration.fitting.search import Evaluation, Search
+from multicell.calibration.fitting.unknown_scatter import with_scatter
 from multicell.measured.noise import Array, Noise, shrink
 
 MIN_REPEATS: Final = 4  # fresh runs of which a covariance can be estimated
@@ -178,7 +179,7 @@ def _student(working: Likelihood, noise: Noise, known: Array, away: Array) -> Li
     weights = working.whitening.T @ directions
     # the emulator's error is added where it is used
     spread = weights.T @ noise.errors @ weights + scatter
-    uncertain = float(np.trace(scatter) / np.trace(spread)) ** 2 / (count - 1.0)
+    uncertain = spent = float(np.trace(scatter) / np.trace(spread)) ** 2 / (count - 1.0)
     if noise.freedom < _EXACT:  # errors known from specimens, along what depends on them most; one
         # variance, unlike a covariance, loses none of its degrees of freedom to directions
         part = weights.T @ (noise.errors @ weights)
@@ -186,7 +187,10 @@ def _student(working: Likelihood, noise: Noise, known: Array, away: Array) -> Li
         uncertain += (way @ part @ way) ** 2 / (noise.freedom + along - 1.0)
     freedom = min(1.0 / max(uncertain, 1e-12), _EXACT)
     left = freedom - along + 1.0
-    return replace(working, directions=directions, spread=spread * freedom / left, freedom=left)
+    wider = freedom / left
+    if noise.residual:  # one variance of residuals widens all directions alike
+        wider = 1.0 + (wider - 1.0) * spent / uncertain
+    return replace(working, directions=directions, spread=spread * wider, freedom=left)
 
 
 DEFAULT_REPEATS: Final = 12  # fresh runs at the best point
@@ -223,6 +227,7 @@ class Fresh:
     - ``checks``: of the emulator; None without a likelihood
     - ``missed``: whether the emulator's best point was worse than one that had run, which is then
       the best
+    - ``problem``: with the errors of data that residuals have shown; None: they are stated
     """
 
     shares: Array
@@ -232,6 +237,7 @@ class Fresh:
     likelihood: Likelihood | None
     checks: Checks | None
     missed: bool = False
+    problem: FitProblem | None = None
 
 
 def most_fresh(count: int) -> int:
@@ -257,8 +263,14 @@ def _again(
     return search.extra(pool, [(shares.tolist(), seed) for seed in seeds], note)
 
 
-def _is_worse(problem: FitProblem, shares: Array, runs: Array, ran: Evaluation) -> bool:
+def _is_worse(
+    problem: FitProblem, shares: Array, runs: Array, ran: Evaluation, search: Search
+) -> bool:
     """Return whether runs at a point fit worse than the best of a search did, beyond scatter."""
+    if problem.scatter == "unknown":
+        found = (ran.misfit.means - problem.observed) / problem.sigma
+        problem = with_scatter(problem, found, ran.misfit.scatter / problem.sigma**2)
+        ran = next(e for e in search.on(problem).evaluations() if (e.shares == ran.shares).all())
     there = misfit(problem.observed, problem.sigma, runs, None, problem.noise)
     before, here = problem.prior.loss(np.stack([ran.shares, shares]))
     scatter = np.maximum(there.scatter, ran.misfit.scatter)
@@ -291,7 +303,7 @@ def fresh(
     seeds = [first + k for k in range(count)]
     trial = count if np.array_equal(best, ran.shares) else max(1, count // 3)
     runs, reasons = _again(search, pool, best, seeds[:trial], (0, count), progress)
-    worse = trial < count and _is_worse(problem, best, runs, ran)
+    worse = trial < count and _is_worse(problem, best, runs, ran, search)
     if worse:  # the emulator misses something that its runs found
         best, seeds = (
             ran.shares,
@@ -306,12 +318,20 @@ def fresh(
     whole = np.isfinite(residuals).any(axis=1)
     if whole.sum() < MIN_REPEATS:
         return Fresh(best, runs, tuple(reasons), None, None, None, worse)
+    fitted = None
+    if problem.scatter == "unknown":
+        share = 1.0 / problem.tissues + 1.0 / whole.sum()
+        found_there = residuals[whole].mean(axis=0), residuals[whole].var(axis=0, ddof=1) * share
+        problem = fitted = with_scatter(problem, *found_there)
+        search = search.on(problem)
+        emulator = search.emulator()
+        residuals = (runs - problem.observed) / problem.sigma
     residuals = residuals[whole]
     known = np.isfinite(residuals).all(axis=0)
     instead = 0.0 if emulator is None else emulator.means(best[None])[0]
     scatter = scatter_of(np.where(known, residuals, instead))
     if emulator is None:
-        return Fresh(best, runs, tuple(reasons), scatter, None, None, worse)
+        return Fresh(best, runs, tuple(reasons), scatter, None, None, worse, fitted)
     found = likelihood(emulator, problem.noise, best, scatter)
     likely = found.draws(ENOUGH_DRAWS)
     chosen = likely[:: len(likely) // CHECKS][:CHECKS]
@@ -321,7 +341,7 @@ def fresh(
     checks, error = _check(away, found.predict(chosen)[1], scatter)
     if checks.off.any():
         found = likelihood(emulator, problem.noise, best, scatter, error)
-    return Fresh(best, runs, (*reasons, *more), scatter, found, checks, worse)
+    return Fresh(best, runs, (*reasons, *more), scatter, found, checks, worse, fitted)
 
 
 def _check(away: Array, variances: Array, scatter: Scatter) -> tuple[Checks, Array]:

@@ -15,6 +15,11 @@ from multicell.calibration.fitting.likelihood import Fresh
 from multicell.calibration.fitting.problem import ABSENT_DEVIATIONS, FitProblem, misfit
 from multicell.calibration.fitting.search import Evaluation, Run
 from multicell.calibration.fitting.simulator import Reading
+from multicell.calibration.fitting.unknown_scatter import (
+    FittedScatter,
+    drawn_factors,
+    fitted_scatter,
+)
 from multicell.calibration.fitting.verdict import (
     EDGE,
     Interval,
@@ -23,6 +28,7 @@ from multicell.calibration.fitting.verdict import (
     quantiles,
     undetermined,
 )
+from multicell.calibration.shared.confidence import BAND, LEVEL, TAILS
 from multicell.calibration.shared.wording import value_in_words
 from multicell.errors import FitFailed
 from multicell.host.extras import needs
@@ -53,7 +59,7 @@ class Best:
 
     - ``values``: by key of the scene, in base units
     - ``words``: by key: value and unit for people, ``"15.2 h"``
-    - ``readings``, (n,): what fresh runs have in place of each datum (their mean), base units
+    - ``readings``, (n,): mean of fresh runs in place of each datum, base units
     - ``residuals``, (n,): in standard deviations; positive where the runs have more
     - ``chi_squared``: the sum of their squares
     - ``per_datum``: χ² over the number of data
@@ -86,6 +92,7 @@ class FitNumbers:
     facts: Mapping[str, Any]
     fresh: Fresh
     readings: Mapping[Run, Reading] = field(default_factory=dict)
+    stated: FitProblem | None = None
 
     def __repr__(self) -> str:
         keys = ", ".join(r.key for r in self.problem.ranges)
@@ -130,18 +137,21 @@ class FitNumbers:
     def posterior(self) -> pd.DataFrame:
         """Draws: a column for each parameter in base units, and ``weight``, which is the same.
 
-        Its ``attrs`` hold the units.
+        Where the scatter of the data is fitted, ``scatter_OBSERVABLE`` is the factor on the stated
+        errors. Its ``attrs`` hold the units.
         """
         needs("pandas")
         import pandas
 
         shares = self.some_sample()
         columns = self.problem.columns(shares)
-        frame = pandas.DataFrame({**columns, "weight": np.full(len(shares), 1.0 / len(shares))})
+        more = {f"scatter_{name}": x for name, x in self._factors.items()}
+        weight = np.full(len(shares), 1.0 / len(shares))
+        frame = pandas.DataFrame({**columns, **more, "weight": weight})
         frame.attrs = {"units": self.problem.parameter_units}
         return frame
 
-    def intervals(self, level: float = 0.95) -> dict[str, Interval]:
+    def intervals(self, level: float = LEVEL) -> dict[str, Interval]:
         """Return a central credible interval of each parameter by its name, base units."""
         return intervals(self.problem.ranges, self.some_sample(), level)
 
@@ -169,6 +179,24 @@ class FitNumbers:
             coords={"chain": [0], "draw": np.arange(len(shares))},
             attrs={"scene": self.scene.title or "", "chi_squared": self.best.chi_squared},
         )
+
+    @cached_property
+    def scatter(self) -> Mapping[str, FittedScatter]:
+        """Size of the errors of each observable, where they were fitted (``scatter="unknown"``)."""
+        if self.stated is None:
+            return {}
+        return fitted_scatter(self.problem, self.stated, self._factors)
+
+    @cached_property
+    def _factors(self) -> dict[str, Array]:
+        """Draws of the factors on the stated errors, where they were fitted."""
+        known, runs, problem = self.fresh.likelihood, self.fresh.scatter, self.problem
+        if self.stated is None or known is None or runs is None:
+            return {}
+        means, variances = known.predict(self.some_sample())
+        scale = problem.sigma / self.stated.sigma
+        others = runs.variance * (1.0 / problem.tissues + 1.0 / runs.count) + variances
+        return drawn_factors(problem, means * scale, others * scale**2)
 
     @cached_property
     def chance(self) -> float:
@@ -207,7 +235,7 @@ class FitNumbers:
         if self.sample is None:
             return found
         for k, free in enumerate(self.problem.ranges):
-            low, high = np.quantile(self.sample[:, k], [0.025, 0.975])
+            low, high = np.quantile(self.sample[:, k], TAILS)
             if not low - EDGE <= self.fresh.shares[k] <= high + EDGE:
                 best = value_in_words(self.best.values[free.key], free.unit)
                 found.append(f"The best value of {free.name}, {best}, is outside its interval.")
@@ -220,7 +248,7 @@ class FitNumbers:
             return []
         return undetermined(self.problem.ranges, self.sample, self.problem.prior)
 
-    def predicted(self, levels: Sequence[float] = (0.025, 0.5, 0.975)) -> Array:
+    def predicted(self, levels: Sequence[float] = BAND) -> Array:
         """Return quantiles of what a tissue shows in place of each datum: (levels, n), base units.
 
         Over the posterior and over the scatter of runs; errors of measurement are not in it.
@@ -334,6 +362,15 @@ class FitNumbers:
                 f"{said} come without a standard deviation: {100.0 * self.facts['sd']:g} % of the "
                 "value was assumed, on which all intervals depend."
             )
+        orders = self.problem.prior.constraints.texts()
+        if orders:
+            notes.append(f"Only values with {' and '.join(orders)} were searched.")
+        notes += [
+            f"The errors of {name} were fitted: a standard deviation of {found.words}, "
+            f"{found.best:.3g} times the stated or assumed ones (95 %: {found.low:.3g} to "
+            f"{found.high:.3g}). χ² is therefore about 1 a datum and says nothing of the model."
+            for name, found in self.scatter.items()
+        ]
         several = sum(1.0 < d.tissues < np.inf and not d.specimens for d in data)
         if several:
             notes.append(

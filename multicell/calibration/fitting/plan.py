@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from multicell.calibration.fitting.likelihood import CHECKS, Fresh, fresh, most_fresh
 from multicell.calibration.fitting.pool import Pool
 from multicell.calibration.fitting.problem import FitProblem
+from multicell.calibration.fitting.search import SEARCH
 from multicell.errors import OutputError
 from multicell.results.documents import Lines, read_document, write_table
 from multicell.results.folder import (
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 FIT: Final = "fit.json"  # what the folder is a fit of
-SEARCH: Final = "search.log"  # points and readings of the search, and of fresh runs
 FIT_FILES: Final = (
     FIT,
     "scene.toml",
@@ -75,7 +75,7 @@ class FitPlan:
     """A fit that was checked and not begun.
 
     - ``points``: sets of parameters that the search will try
-    - ``extra``: how many more it may try where what it finds contradicts itself
+    - ``extra``: how many more it may try where results contradict each other
     """
 
     problem: FitProblem
@@ -116,6 +116,7 @@ class FitPlan:
             "sd": self.sd,
             "times": [datum.time for datum in problem.measured.data],
             "specimens": self.specimens,
+            **({"scatter": problem.scatter} if problem.scatter != "stated" else {}),
         }
 
     def left(self, folder: str | Path | None) -> tuple[int, float]:
@@ -222,7 +223,12 @@ def _found(
         "fresh_runs": plan.repeats if again.checks is None else plan.repeats + CHECKS,
         "seconds": seconds,
     }
-    return Fit(plan.problem, plan.scene, evaluations, folder, facts or own, again, search.readings)
+    problem, stated = plan.problem, None
+    if again.problem is not None:
+        problem, stated = again.problem, problem
+        evaluations = search.on(problem).evaluations()
+    facts = facts or own
+    return Fit(problem, plan.scene, evaluations, folder, facts, again, search.readings, stated)
 
 
 def write_result(fit: Fit, folder: Path) -> None:

@@ -9,9 +9,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
-from multicell.calibration.fitting.priors import values_at
+from multicell.calibration.fitting.constraints import values_at
 from multicell.calibration.fitting.profile import LikelihoodProfile, profile_of
 from multicell.calibration.fitting.verdict import quantiles
+from multicell.calibration.shared.confidence import BAND, LEVEL, TAILS
 from multicell.measured.noise import Array
 from multicell.report.plots.style import BLUE, INK, QUIET, RED, counts, styled
 from multicell.report.wording import TimeUnit, time_unit, written
@@ -38,7 +39,6 @@ _COLOURS: Final = (
 _MAX_PAIRED: Final = 6  # parameters that are drawn pairwise; of more the first ones
 _UPRIGHT: Final = 9  # single data whose labels stand beside each other
 _ZOOMED: Final = 0.35  # part of a range below which only that is drawn
-_BAND: Final = (0.025, 0.5, 0.975)  # central interval of 95 % and median
 
 
 @final
@@ -61,7 +61,7 @@ class FitPlots:
         subtitle = f"bars: standard deviations, lines: best runs{tissues}; {misfit}"
         height = 1.15 + height * -(-len(shown) // columns)
         figure, grid = panels(_title(fit), subtitle, len(shown), columns, height)
-        band = fit.predicted(_BAND)
+        band = fit.predicted(BAND)
         for axes, (name, over, numbers) in zip(grid, shown, strict=True):
             unit = fit.problem.measured.units[name]
             axes.set_title(with_unit(words(name), written(unit)))
@@ -154,7 +154,7 @@ class FitPlots:
 def _draw_profile(axes: Axes, profile: LikelihoodProfile, free: Range) -> None:
     from scipy import stats
 
-    limit = float(stats.chi2.ppf(0.95, 1))
+    limit = float(stats.chi2.ppf(LEVEL, 1))
     size = _unit(free)[1]
     axes.plot(profile.values / size, profile.loss, color=BLUE, lw=2)
     axes.axhline(limit, color=QUIET, lw=1.0, ls="--")
@@ -323,7 +323,7 @@ def _marginal(
         heights, _ = np.histogram(sample[:, k], edges)
         heights = heights / (len(sample) * (edges[1] - edges[0]))
         axes.stairs(heights, _at(free, edges), fill=True, color=BLUE, alpha=0.55)
-        ends = quantiles(sample[:, k], (0.025, 0.975))
+        ends = quantiles(sample[:, k], TAILS)
         for x in _at(free, ends):
             axes.axvline(x, color=INK, linewidth=0.9, linestyle=":")
         axes.set_title(

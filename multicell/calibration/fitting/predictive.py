@@ -16,21 +16,24 @@ of tissues and of the mean of fresh runs, error of the emulator.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from multicell.calibration.fitting.emulator import ENOUGH_DRAWS, best_of, draws
-from multicell.calibration.fitting.priors import Prior
 from multicell.calibration.fitting.verdict import quantiles
+from multicell.calibration.shared.confidence import BAND
 from multicell.measured.noise import Array
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from multicell.calibration.fitting.numbers import FitNumbers
+
+_TAIL_PART, _TAIL_ROOTS = 0.2, 3.0
+"""The tail of S draws that is smoothed: min(S / 5, 3 √S) (Vehtari et al. 2024, JMLR 25, 72)."""
 
 
 @final
@@ -129,7 +132,7 @@ def _smoothed(ratios: Array) -> Array:
     from scipy.stats import genpareto
 
     sizes = np.exp(ratios - ratios.max())
-    count = math.ceil(min(0.2 * len(sizes), 3.0 * math.sqrt(len(sizes))))
+    count = math.ceil(min(_TAIL_PART * len(sizes), _TAIL_ROOTS * math.sqrt(len(sizes))))
     order = np.argsort(sizes, kind="stable")
     largest, below = order[-count:], sizes[order[-count - 1]]
     beyond = sizes[largest] - below
@@ -162,7 +165,7 @@ def least_residuals(fit: FitNumbers, predictive: Predictive) -> Array:
         r = known.predict(shares)[0]
         return np.asarray(np.einsum("si,ij,sj->s", r, predictive.precision, r))
 
-    flat = Prior(len(fit.problem.ranges))
+    flat = replace(fit.problem.prior, densities=())
     best = best_of(loss, flat, draws(loss, flat, seed=0, count=ENOUGH_DRAWS))
     return np.asarray(known.predict(best[None])[0][0])
 
@@ -175,7 +178,7 @@ def predictive_check(fit: FitNumbers) -> PredictiveCheck:
     problem = fit.problem
     again = np.maximum(found.replicate(), problem.lowest)
     above = (again > 0.0).mean(axis=0) + 0.5 * (again == 0.0).mean(axis=0)
-    rows = quantiles(problem.observed + again * problem.sigma, (0.025, 0.5, 0.975))
+    rows = quantiles(problem.observed + again * problem.sigma, BAND)
     low, median, high = map(problem.unscale, rows)
     about = pandas.DataFrame(fit.rows())[["row", "condition", "observable", "unit", "time"]]
     table = about.assign(

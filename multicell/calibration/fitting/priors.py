@@ -11,7 +11,7 @@ or a normal or log-normal distribution with units::
 logarithm. Behind ``in`` stand the ends of the range that is searched, to which the distribution is
 cut; without it these are the quantiles that leave a thousandth out. Searches, emulators and
 samplers work in places in the ranges (0 to 1; of a log-normal distribution on a logarithmic scale);
-here is what density they have there.
+here is their density there.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from typing import Any, Final, Self, final
 
 import numpy as np
 
+from multicell.calibration.fitting.constraints import NO_CONSTRAINTS, Constraints, values_at
 from multicell.errors import SceneError
 from multicell.measured.noise import Array
 from multicell.scene.scene import Scene
@@ -38,6 +39,7 @@ _ARGUMENTS: Final = {
     "lognorm": re.compile(r"\s*median\s*=([^,=]+),\s*sigma\s*=([^,=]+)"),
 }
 _TAIL: Final = 0.0005  # of a distribution, beyond each end of a range that nobody stated
+_DRAWS: Final = 20_000  # of which the share that constraints leave is counted
 _HINT: Final = "For example 'norm(18 h, 2 h)' or 'lognorm(median=0.02 mM/s, sigma=0.3)'."
 
 
@@ -78,11 +80,13 @@ class Prior:
     - ``dimensions``: number of parameters
     - ``ranges``, ``densities``: one for each where one has a density, else empty; a density of None
       is uniform
+    - ``constraints``: between two of them, beyond which there is nothing
     """
 
     dimensions: int
     ranges: tuple[Range, ...] = ()
     densities: tuple[Density | None, ...] = ()
+    constraints: Constraints = NO_CONSTRAINTS
 
     def density_loss(self, shares: Array) -> Array:
         """Return -2 ln of the density of places in the ranges (k, d): (k,)."""
@@ -95,7 +99,8 @@ class Prior:
     def loss(self, shares: Array) -> Array:
         """Return -2 ln of the density of places in the ranges (k, d): (k,), inf beyond them."""
         inside = ((shares >= 0.0) & (shares <= 1.0)).all(axis=1)
-        return np.where(inside, self.density_loss(np.clip(shares, 0.0, 1.0)), np.inf)
+        places = np.clip(shares, 0.0, 1.0)
+        return np.where(inside & self.constraints.hold(places), self.density_loss(places), np.inf)
 
     def places(self, even: Array) -> Array:
         """Return places in the ranges for points of the unit cube (k, d) that fill it evenly."""
@@ -110,10 +115,16 @@ class Prior:
 
     def draw(self, random: np.random.Generator, count: int) -> Array:
         """Return independent draws, (count, d)."""
-        return self.places(random.random((count, self.dimensions)))
+        found = self.places(random.random((count, self.dimensions)))
+        while not (kept := self.constraints.hold(found)).all():
+            found[~kept] = self.places(random.random((int((~kept).sum()), self.dimensions)))
+        return found
 
     def part(self, k: int, level: float) -> float:
         """Return the part of a range that a central interval of its density covers."""
+        if self.constraints.pairs:
+            drawn = self.draw(np.random.default_rng(0), _DRAWS)[:, k]
+            return float(np.diff(np.quantile(drawn, [0.5 - 0.5 * level, 0.5 + 0.5 * level]))[0])
         density = self.densities[k] if self.densities else None
         if density is None:
             return level
@@ -125,9 +136,18 @@ class Prior:
     def marginal(self, k: int, shares: Array) -> Array:
         """Return the density of one parameter at places in its range."""
         density = self.densities[k] if self.densities else None
-        if density is None:
-            return np.ones(len(shares))
-        return np.exp(self._log_density(k, density, shares))
+        alone = np.ones(len(shares))
+        if density is not None:
+            alone = np.exp(self._log_density(k, density, shares))
+        if not self.constraints.pairs:
+            return alone
+        others = self.places(np.random.default_rng(0).random((_DRAWS, self.dimensions)))
+        left = self.constraints.hold(others).mean()
+        parts = []
+        for share in shares:
+            others[:, k] = share
+            parts.append(self.constraints.hold(others).mean())
+        return np.asarray(alone * parts / left)
 
     def _log_density(self, k: int, density: Density, shares: Array) -> Array:
         """Return the logarithm of the density of places in a range, up to no constant."""
@@ -144,18 +164,9 @@ class Prior:
             for free, density in zip(self.ranges, self.densities, strict=False)
             if density is not None
         }
-        return {"densities": densities} if densities else {}
-
-
-def values_at(free: Range, shares: Array) -> Array:
-    """Return the values at places in a range, (k,), in base units; whole ones as if they were not.
-
-    A whole number k has the places of the values from k to k + 1.
-    """
-    high = free.high + 1.0 if free.whole else free.high
-    if free.log:
-        return np.asarray(free.low * (high / free.low) ** shares)
-    return np.asarray(free.low + (high - free.low) * shares)
+        found: dict[str, Any] = {"densities": densities} if densities else {}
+        orders = self.constraints.texts()
+        return found | ({"constraints": orders} if orders else {})
 
 
 def split_free(
@@ -180,17 +191,21 @@ def split_free(
     return ranges, densities
 
 
-def prior_of(ranges: Sequence[Range], densities: Sequence[Density | None]) -> Prior:
+def prior_of(
+    ranges: Sequence[Range],
+    densities: Sequence[Density | None],
+    constraints: Constraints = NO_CONSTRAINTS,
+) -> Prior:
     """Return the prior of free parameters."""
     if not any(densities):
-        return Prior(len(ranges))
+        return Prior(len(ranges), constraints=constraints)
     for free, density in zip(ranges, densities, strict=True):
         if density is not None:
             low, high = density.frozen.cdf([free.low, free.high])
             if not high - low > 1e-6:
                 ends = f"{free.low:g} to {free.high:g} {free.unit}".strip()
                 raise SceneError(free.key, f"has a distribution with next to nothing in {ends}")
-    return Prior(len(ranges), tuple(ranges), tuple(densities))
+    return Prior(len(ranges), tuple(ranges), tuple(densities), constraints)
 
 
 def _from_call(key: Key, name: str, text: str) -> Density:

@@ -23,14 +23,16 @@ proportion says nothing: there the average is over variances in the observable's
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from multicell.calibration.fitting.constraints import NO_CONSTRAINTS, Constraints
 from multicell.calibration.fitting.priors import Prior, prior_of, split_free
 from multicell.calibration.fitting.simulator import Reading, Simulator
 from multicell.errors import SceneError
@@ -44,6 +46,10 @@ if TYPE_CHECKING:
     from multicell.measured.data import Datum
 
 
+SCATTERS: Final = ("stated", "unknown")
+"""How large errors of data are: as stated, or times a factor for each observable that is fitted."""
+
+
 @final
 @dataclass(frozen=True)
 class FitProblem:
@@ -53,6 +59,8 @@ class FitProblem:
     - ``simulator``: gives the readings of one run
     - ``seeds``: random numbers of the runs that are averaged, the same ones for all parameters
     - ``known``: their prior; None: all places in the ranges are equally likely
+    - ``scatter``: one of :data:`SCATTERS`
+    - ``freedom``: degrees of freedom of errors that residuals have shown; infinite for others
     """
 
     measured: Measured
@@ -60,11 +68,24 @@ class FitProblem:
     simulator: Simulator
     seeds: tuple[int, ...]
     known: Prior | None = None
+    scatter: str = "stated"
+    freedom: float = math.inf
 
     @cached_property
     def noise(self) -> Noise:
         """Errors and scatter of the data."""
-        return Noise.of(self.measured.data)
+        noise = Noise.of(self.measured.data)
+        if self.scatter == "unknown":
+            return replace(noise, unknown=tuple(self.observables.values()))
+        if math.isfinite(self.freedom):
+            return replace(noise, freedom=self.freedom, residual=True)
+        return noise
+
+    @cached_property
+    def observables(self) -> Mapping[str, NDArray[np.int64]]:
+        """Numbers of the data of each observable."""
+        names = np.array([datum.observable for datum in self.measured.data])
+        return {name: np.flatnonzero(names == name) for name in dict.fromkeys(names.tolist())}
 
     @cached_property
     def observed(self) -> Array:
@@ -144,7 +165,11 @@ class FitProblem:
         return groups_of(self.measured.data)
 
 
-def ranges_of(free: Mapping[str, str | Sequence[object]], measured: Measured) -> tuple[Range, ...]:
+def ranges_of(
+    free: Mapping[str, str | Sequence[object]],
+    measured: Measured,
+    constraints: str | Sequence[str] = (),
+) -> tuple[Range, ...]:
     """Return the ranges of free parameters."""
     for condition in measured.conditions:
         for key in free:
@@ -152,9 +177,10 @@ def ranges_of(free: Mapping[str, str | Sequence[object]], measured: Measured) ->
                 problem = "is a condition of the data, so that no fit can choose it"
                 raise SceneError(key, problem)
     ranges = parse_ranges(free, measured.conditions[0].scene)
+    tried = Constraints.of(constraints, ranges).apart() if constraints else ranges
     for condition in measured.conditions:
         try:
-            check_ranges(condition.scene, ranges)
+            check_ranges(condition.scene, tried)
         except SceneError as error:
             if not condition.changes:
                 raise
@@ -163,11 +189,14 @@ def ranges_of(free: Mapping[str, str | Sequence[object]], measured: Measured) ->
     return ranges
 
 
-def free_of(free: Mapping[str, Any], measured: Measured) -> tuple[tuple[Range, ...], Prior]:
+def free_of(
+    free: Mapping[str, Any], measured: Measured, constraints: str | Sequence[str] = ()
+) -> tuple[tuple[Range, ...], Prior]:
     """Return the ranges and the prior of free parameters, some of which have distributions."""
     plain, densities = split_free(free, measured.conditions[0].scene)
-    ranges = ranges_of(plain, measured)
-    return ranges, prior_of(ranges, list(densities.values()))
+    ranges = ranges_of(plain, measured, constraints)
+    orders = Constraints.of(constraints, ranges) if constraints else NO_CONSTRAINTS
+    return ranges, prior_of(ranges, list(densities.values()), orders)
 
 
 ABSENT_DEVIATIONS: Final = 100.0

@@ -18,8 +18,9 @@ from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
 
+from multicell.calibration.fitting.constraints import NO_CONSTRAINTS, Constraints, values_at
 from multicell.calibration.fitting.emulator import Loss
-from multicell.calibration.fitting.priors import values_at
+from multicell.calibration.shared.confidence import LEVEL
 from multicell.errors import FitFailed, SceneError
 from multicell.measured.noise import Array
 from multicell.schema import near_miss
@@ -45,6 +46,7 @@ class LikelihoodProfile:
     - ``loss``, (m,): -2 ln (L / L at the best point), at least 0
     - ``others``, (m, d): shares of the ranges of all parameters there
     - ``best``: value of least loss
+    - ``best_shares``, (d,): shares of the ranges of all parameters there
     """
 
     name: str
@@ -53,35 +55,48 @@ class LikelihoodProfile:
     loss: Array
     others: Array
     best: float
+    best_shares: Array
     _shares: Array
     _free: Range
 
-    def interval(self, level: float = 0.95) -> tuple[float, float]:
+    def interval(self, level: float = LEVEL) -> tuple[float, float]:
         """Return the ends of the confidence interval, base units.
 
         An end that the searched range does not hold is infinite: the data do not bound the
         parameter at that side.
         """
+        low, high = self._ends(level)
+        return -np.inf if low is None else low[0], np.inf if high is None else high[0]
+
+    def ends(self, level: float = LEVEL) -> list[tuple[float, Array]]:
+        """Return the ends of the interval that the range holds.
+
+        Each is a value in base units, and the shares of the ranges of all parameters there, (d,).
+        """
+        return [end for end in self._ends(level) if end is not None]
+
+    def _ends(self, level: float) -> list[tuple[float, Array] | None]:
         from scipy import stats
 
         if not 0.0 < level < 1.0:
             raise SceneError("level", f"is {shown(level)}, must be between 0 and 1")
         limit = float(stats.chi2.ppf(level, 1))
         inside = np.flatnonzero(self.loss <= limit)
-        ends = []
-        for place, step in ((int(inside[0]), -1), (int(inside[-1]), 1)):
-            beyond = place + step
+        ends: list[tuple[float, Array] | None] = []
+        for place, way in ((int(inside[0]), -1), (int(inside[-1]), 1)):
+            beyond = place + way
             if not 0 <= beyond < len(self.loss):
-                ends.append(step * np.inf)
+                ends.append(None)
                 continue
             # near its least value a profile is a parabola: its root is nearly straight
             low, high = (float(np.sqrt(max(self.loss[k], 0.0))) for k in (place, beyond))
             part = (np.sqrt(limit) - low) / (high - low)
             share = self._shares[place] + part * (self._shares[beyond] - self._shares[place])
-            ends.append(float(values_at(self._free, np.array([share]))[0]))
-        return ends[0], ends[1]
+            others = self.others[place] + part * (self.others[beyond] - self.others[place])
+            ends.append((float(values_at(self._free, np.array([share]))[0]), others))
+        return ends
 
-    def identified(self, level: float = 0.95) -> bool:
+    def identified(self, level: float = LEVEL) -> bool:
         """Return whether the interval has both ends within the range."""
         return bool(np.isfinite(self.interval(level)).all())
 
@@ -101,14 +116,26 @@ def profile_of(fit: FitNumbers, name: str, points: int = PROFILE_POINTS) -> Like
     if fit.fresh.likelihood is None:
         fit.some_sample()  # says what is lacking
         raise FitFailed("there is no likelihood")
-    return _profile(fit.fresh.likelihood.loss, ranges, place, fit.some_sample(), points)
+    orders = fit.problem.prior.constraints
+    return _profile(fit.fresh.likelihood.loss, ranges, place, fit.some_sample(), points, orders)
 
 
 def _profile(
-    loss: Loss, ranges: Sequence[Range], place: int, sample: Array, points: int
+    loss: Loss,
+    ranges: Sequence[Range],
+    place: int,
+    sample: Array,
+    points: int,
+    orders: Constraints = NO_CONSTRAINTS,
 ) -> LikelihoodProfile:
-    best = _least(loss, sample[np.argsort(loss(sample))[:_STARTS]], None)
-    grid = np.unique(np.append(np.linspace(0.0, 1.0, points), best[place]))
+    best = _least(loss, sample[np.argsort(loss(sample))[:_STARTS]], None, orders)
+    free = ranges[place]
+    if orders.pairs:  # values for which the others have some
+        cut = orders.apart()[place]
+        low, high = free.share(cut.low), free.share(cut.high)
+    else:
+        low, high = 0.0, 1.0
+    grid = np.unique(np.append(np.linspace(low, high, points), best[place]))
     middle = int(np.searchsorted(grid, best[place]))
     found = np.tile(best, (len(grid), 1))
     for way in (range(middle + 1, len(grid)), range(middle - 1, -1, -1)):
@@ -117,9 +144,9 @@ def _profile(
             near = sample[np.argsort(np.abs(sample[:, place] - grid[k]))[: 50 * _STARTS]]
             starts = np.vstack([before, near[np.argsort(loss(near))[:_STARTS]]])
             starts[:, place] = grid[k]
-            before = found[k] = _least(loss, starts, place)
+            starts = orders.mended(starts, place)
+            before = found[k] = _least(loss, starts[orders.hold(starts)], place, orders)
     losses = loss(found)
-    free = ranges[place]
     least = int(np.argmin(losses))  # where a point beside the best is better by rounding
     return LikelihoodProfile(
         free.name,
@@ -128,15 +155,14 @@ def _profile(
         losses - losses[least],
         found,
         float(values_at(free, grid[least : least + 1])[0]),
+        found[least],
         grid,
         free,
     )
 
 
-def _least(loss: Loss, starts: Array, fixed: int | None) -> Array:
+def _least(loss: Loss, starts: Array, fixed: int | None, orders: Constraints) -> Array:
     """Return the place of least loss, (d,), from several starts; one parameter may be fixed."""
-    from scipy.optimize import minimize
-
     moving = [k for k in range(starts.shape[1]) if k != fixed]
     order = starts[np.argsort(loss(starts), kind="stable")]
     if not moving:
@@ -149,17 +175,5 @@ def _least(loss: Loss, starts: Array, fixed: int | None) -> Array:
         found = loss(points)
         return float(found[0]), (found[1:] - found[0]) / steps
 
-    ends = []
-    for start in order[:2]:
-        down = minimize(
-            value_and_slope,
-            start[moving],
-            args=(start,),
-            jac=True,
-            method="L-BFGS-B",
-            bounds=[(0.0, 1.0)] * len(moving),
-        )
-        end = start.copy()
-        end[moving] = np.clip(down.x, 0.0, 1.0)
-        ends.append(end)
+    ends = [orders.descend(value_and_slope, start, moving, (start,)) for start in order[:2]]
     return np.asarray(ends[int(np.argmin(loss(np.array(ends))))])

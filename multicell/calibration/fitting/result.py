@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from multicell.calibration.fitting.numbers import FitNumbers
+from multicell.calibration.shared.confidence import LEVEL
 from multicell.host.extras import needs
 
 if TYPE_CHECKING:
     from multicell.calibration.fitting.plots import FitPlots
     from multicell.calibration.fitting.predictive import PredictiveCheck
     from multicell.calibration.fitting.profile import LikelihoodProfile
+    from multicell.calibration.fitting.profile_check import ProfileEnd
 
 
 @final
@@ -27,6 +31,7 @@ class Fit(FitNumbers):
       intervals
     - ``readings``: what each run of the search and each fresh one has in place of its data, by
       place in the ranges, condition and seed; :attr:`runs` is a table of them
+    - ``stated``: the problem with the errors that the data state, where ``problem`` has fitted ones
     """
 
     def profile(self, name: str, points: int = 41) -> LikelihoodProfile:
@@ -42,6 +47,45 @@ class Fit(FitNumbers):
         from multicell.calibration.fitting.profile import profile_of
 
         return profile_of(self, name, points)
+
+    def check_profile(
+        self,
+        name: str,
+        *,
+        level: float = LEVEL,
+        repeats: int = 6,
+        cores: int | None = None,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> list[ProfileEnd]:
+        """Run both ends of the interval of a profile with fresh seeds, to check the emulator.
+
+        Ends that the data do not bound are left out. A fit with a folder keeps the runs.
+
+        Parameters
+        ----------
+        name
+            Of the parameter, or its key.
+        level
+            Confidence of the interval.
+        repeats
+            Runs at each end.
+        cores
+            Processes on this machine, by default one for each core.
+        progress
+            Called with the numbers of runs done and wanted.
+
+        Raises
+        ------
+        SceneError
+            For a parameter that the fit does not have.
+        FitFailed
+            If there is no likelihood, or runs show nothing.
+        """
+        from multicell.calibration.fitting.profile_check import checked_profile
+
+        return checked_profile(
+            self, name, level=level, repeats=repeats, cores=cores, progress=progress
+        )
 
     def to_arviz(self) -> Any:
         """Return the posterior, its log-likelihood and the data as ArviZ takes them.
@@ -126,6 +170,7 @@ class Fit(FitNumbers):
                 for u in self.undetermined
             ],
             "predictive_check": checked,
+            **({"scatter": {k: asdict(x) for k, x in self.scatter.items()}} if self.stated else {}),
             "residuals": self.rows(),
             "notes": self.notes,
             **self.facts,

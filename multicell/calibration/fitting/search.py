@@ -35,6 +35,7 @@ Point = tuple[float, ...]  # places in the ranges
 Run = tuple[Point, int, int]
 """A point, the number of a condition, and a seed: what decides a reading."""
 
+SEARCH: Final = "search.log"  # of a fit's folder: points and readings, also of fresh runs
 BATCH: Final = 5  # points that are tried together, at least
 
 
@@ -81,6 +82,13 @@ class Search:
     def readings(self) -> Mapping[Run, Reading]:
         """All runs that are known."""
         return self._readings
+
+    def on(self, problem: FitProblem) -> Search:
+        """Return the same points and runs, compared with the same data under other errors."""
+        other = Search(problem, None, self._seed)
+        other._points, other._readings = self._points, self._readings
+        other._lines = self._lines
+        return other
 
     def evaluations(self) -> list[Evaluation]:
         """Return all that is known, in order."""
@@ -182,7 +190,12 @@ class Search:
         for shares in proposed:
             study.enqueue_trial(dict(zip(names, shares, strict=True)))
         trials = [study.ask(space) for _ in range(count)]
-        return [[trial.params[name] for name in names] for trial in trials]
+        points = np.array([[trial.params[name] for name in names] for trial in trials])
+        kept = self._problem.prior.constraints.hold(points)
+        if not kept.all():  # Optuna knows no constraints between parameters
+            random = np.random.default_rng((self._seed, known))
+            points[~kept] = self._problem.prior.draw(random, int((~kept).sum()))
+        return points.tolist()  # type: ignore[no-any-return]
 
     @property
     def _first_points(self) -> int:
@@ -204,9 +217,14 @@ class Search:
     def _sobol(self) -> Array:
         from scipy.stats import qmc
 
-        power = max(math.ceil(math.log2(self._first_points + BATCH)), 6)
-        sequence = qmc.Sobol(len(self._problem.ranges), rng=self._seed)
-        return self._problem.prior.places(np.asarray(sequence.random_base2(power)))
+        power, prior = max(math.ceil(math.log2(self._first_points + BATCH)), 6), self._problem.prior
+        while True:
+            sequence = qmc.Sobol(len(self._problem.ranges), rng=self._seed)
+            found = prior.places(np.asarray(sequence.random_base2(power)))
+            found = found[prior.constraints.hold(found)]
+            if len(found) >= self._first_points + BATCH:
+                return found
+            power += 1  # constraints leave at least LEAST_SHARE_LEFT of the ranges
 
     def _runs(self, points: Sequence[Point]) -> list[Run]:
         """Return the runs that some points of the search take."""

@@ -90,6 +90,8 @@ def _stored_plan(folder: Path, result: dict[str, Any]) -> FitPlan:
             repeats=result["repeats"],
             sd=problem["sd"],
             specimens=problem["specimens"],
+            scatter=problem.get("scatter", "stated"),
+            constraints=problem.get("constraints", ()),
         )
         plan = replace(plan, points=int(result["sets_of_parameters"]), extra=0)
     except OutputError:

@@ -9,6 +9,7 @@ from typing import Final, final
 import numpy as np
 
 from multicell.calibration.fitting.priors import Prior
+from multicell.calibration.shared.confidence import LEVEL
 from multicell.calibration.shared.wording import value_in_words
 from multicell.measured.noise import Array
 from multicell.studies.axes import Range
@@ -57,7 +58,7 @@ class Undetermined:
         return self.words
 
 
-def intervals(ranges: Sequence[Range], shares: Array, level: float = 0.95) -> dict[str, Interval]:
+def intervals(ranges: Sequence[Range], shares: Array, level: float = LEVEL) -> dict[str, Interval]:
     """Return a central credible interval of each parameter from draws, (k, d)."""
     tails = (0.5 - level / 2.0, 0.5, 0.5 + level / 2.0)
     found = {}
@@ -81,9 +82,9 @@ def undetermined(
     known = intervals(ranges, shares)
     prior = Prior(len(ranges)) if prior is None else prior
     for k, (free, column) in enumerate(zip(ranges, shares.T, strict=True)):
-        interval, before = known[free.name], prior.part(k, 0.95)
-        if interval.part >= OPEN * before / 0.95:
-            of = "its range" if before == 0.95 else f"its range, {100.0 * before:.0f} % beforehand"
+        interval, before = known[free.name], prior.part(k, LEVEL)
+        if interval.part >= OPEN * before / LEVEL:
+            of = "its range" if before == LEVEL else f"its range, {100.0 * before:.0f} % beforehand"
             low, high = (value_in_words(x, free.unit) for x in (interval.low, interval.high))
             words = (
                 f"{free.name} is not determined: its 95 % interval, {low} to {high}, covers "

@@ -23,6 +23,8 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
+from multicell.calibration.shared.confidence import LEVEL
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -127,7 +129,7 @@ def _effects(names: Sequence[str], shares: FloatArray, mean: FloatArray) -> dict
         _problem(names), shares, mean.ravel(), num_resamples=2, num_levels=_LEVELS, seed=_SAMPLE
     )
     count = len(mean)
-    student = float(stats.t.isf(0.5 - 0.5 * 0.95, count - 1) / math.sqrt(count))
+    student = float(stats.t.isf(0.5 - 0.5 * LEVEL, count - 1) / math.sqrt(count))
     squares = found["sigma"] ** 2 + (found["mu"] ** 2 - found["mu_star"] ** 2) * count / (count - 1)
     spread = np.sqrt(np.maximum(squares, 0.0))  # of the sizes of effects
     columns = {name: found[name] for name in ("mu", "mu_star", "sigma")}

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from multicell.calibration.sensitivity.index_page import sensitivity_title, write_indices
 from multicell.calibration.sensitivity.indices import CLEAR, CLEAR_SINGLE
-from multicell.calibration.shared.wording import value_in_words
-from multicell.report.html import Drawing, write_page
+from multicell.report.html import Drawing
 from multicell.report.plots.colour_vision import PALE
 from multicell.report.plots.style import BLUE, QUIET, RED, SIZE, styled
 from multicell.report.wording import written
@@ -22,49 +22,25 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from multicell.calibration.sensitivity.numbers import IndexTable, Row
-    from multicell.studies.axes import Range
 
 
 def write_sensitivity_report(result: IndexTable, folder: Path) -> Path:
     """Write ``report.html`` and its pictures, and return the page."""
-    pictures: dict[str, Drawing] = {}
+    drawings: dict[str, Drawing] = {}
     for name in result.observables:
         if any(row["mu_star"] > 0.0 for row in result.ordered(name)):  # else a note says why
             caption = (
                 f"{sentence(words(name))}: size of effects at the end of the runs, with 95 % "
                 "intervals; pale is what is not distinguishable from noise or zero."
             )
-            path = f"sensitivity-{name.replace('.', '_')}.png"
-            pictures[path] = partial(indices, result, name), caption
-    names = ", ".join(key_words(free.key, free.name) for free in result.ranges)
-    return write_page(
-        folder / "report.html",
-        "sensitivity.html",
-        scene=result.scene,
-        title=_title(result),
-        subtitle=f"Screening by Morris · {names}",
-        tiles=_tiles(result),
-        pictures=pictures,
-        result=result,
-        ends={free.key: _ends(free) for free in result.ranges},
-    )
-
-
-def _ends(free: Range) -> tuple[str, str]:
-    """Return both ends of a range in words; long times in minutes, hours or days."""
-    log = ", by ratio" if free.log else ""
-    return value_in_words(free.low, free.unit), value_in_words(free.high, free.unit) + log
+            drawings[name] = partial(indices, result, name), caption
+    points = result.size * (len(result.ranges) + 1)
+    kind = "Screening by Morris"
+    return write_indices(result, folder, "sensitivity.html", kind, points, _tiles(result), drawings)
 
 
 def _tiles(result: IndexTable) -> dict[str, str]:
-    tiles = {
-        "free parameters": f"{len(result.ranges)}",
-        "trajectories": f"{result.size:,}",
-        "points": f"{result.size * (len(result.ranges) + 1):,}",
-        "seeds": f"{len(result.seeds)}",
-    }
-    if result.failures:
-        tiles["runs that failed"] = f"{len(result.failures):,}"
+    tiles = {"trajectories": f"{result.size:,}"}
     for name in result.observables[:3]:
         first = result.ordered(name)[0]
         if first["verdict"] in (CLEAR, CLEAR_SINGLE):
@@ -89,15 +65,13 @@ def indices(result: IndexTable, observable: str) -> Figure:
         f"{sentence(words(observable))} at the end of each run · Morris, {result.size:,} "
         f"trajectories, {seeds} · bars: 95 % intervals"
     )
-    figure = with_heading(_title(result), subtitle, (SIZE[0], max(5.0, 1.9 + 0.36 * len(rows))))
+    figure = with_heading(
+        sensitivity_title(result), subtitle, (SIZE[0], max(5.0, 1.9 + 0.36 * len(rows)))
+    )
     left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
     _bars(left, rows)
     _plane(right, rows)
     return figure
-
-
-def _title(result: IndexTable) -> str:
-    return f"{result.scene.title or 'Untitled scene'}: sensitivity"
 
 
 def _bars(axes: Axes, rows: list[Row]) -> None:

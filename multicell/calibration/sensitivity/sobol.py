@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from multicell.calibration.sensitivity.result import SobolIndices
+from multicell.calibration.shared.confidence import LEVEL
 from multicell.errors import SceneError
 from multicell.units import shown
 
@@ -75,7 +76,7 @@ def sobol_indices(names: Sequence[str], values: FloatArray) -> tuple[dict[str, F
     if np.ptp(mean) <= _ROUNDING * np.abs(mean).max():
         return nothing, used
     found = sobol.analyze(
-        _cube(names), mean, calc_second_order=False, conf_level=0.95, seed=_SAMPLE
+        _cube(names), mean, calc_second_order=False, conf_level=LEVEL, seed=_SAMPLE
     )
     seeds = values.shape[1]
     noise = kept.var(axis=2, ddof=1).mean() / seeds / mean.var() if seeds > 1 else math.nan

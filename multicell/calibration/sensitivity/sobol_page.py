@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multicell.calibration.shared.wording import value_in_words
-from multicell.report.html import Drawing, write_page
+from multicell.calibration.sensitivity.index_page import sensitivity_title, write_indices
+from multicell.report.html import Drawing
 from multicell.report.plots.colour_vision import PALE
 from multicell.report.plots.style import BLUE, QUIET, SIZE, styled
 from multicell.studies.picture_data import key_words, sentence, words
@@ -23,32 +23,13 @@ if TYPE_CHECKING:
 
 def write_sobol_report(result: IndexTable, folder: Path) -> Path:
     """Write ``report.html`` and its pictures, and return the page."""
-    pictures: dict[str, Drawing] = {}
+    drawings: dict[str, Drawing] = {}
     for name in result.observables:
         if any(np.isfinite(row["ST"]) for row in result.ordered(name)):  # else a note says why
             caption = f"{sentence(words(name))}: parts of its variance, with 95 % intervals."
-            path = f"sensitivity-{name.replace('.', '_')}.png"
-            pictures[path] = partial(sobol_bars, result, name), caption
-    names = ", ".join(key_words(free.key, free.name) for free in result.ranges)
-    return write_page(
-        folder / "report.html",
-        "sobol.html",
-        scene=result.scene,
-        title=_heading(result),
-        subtitle=f"Sobol' indices · {names}",
-        tiles={
-            "free parameters": f"{len(result.ranges)}",
-            "points": f"{result.size * (len(result.ranges) + 2):,}",
-            "seeds": f"{len(result.seeds)}",
-        },
-        pictures=pictures,
-        result=result,
-        ends={f.key: [value_in_words(x, f.unit) for x in (f.low, f.high)] for f in result.ranges},
-    )
-
-
-def _heading(result: IndexTable) -> str:
-    return f"{result.scene.title or 'Untitled scene'}: sensitivity"
+            drawings[name] = partial(sobol_bars, result, name), caption
+    points = result.size * (len(result.ranges) + 2)
+    return write_indices(result, folder, "sobol.html", "Sobol' indices", points, {}, drawings)
 
 
 @styled
@@ -59,7 +40,9 @@ def sobol_bars(result: IndexTable, observable: str) -> Figure:
         f"{sentence(words(observable))} at the end of each run · Sobol', {result.size:,} points, "
         f"{len(result.seeds)} seed(s) · bars: 95 % intervals"
     )
-    figure = with_heading(_heading(result), subtitle, (SIZE[0], max(4.0, 1.9 + 0.6 * len(rows))))
+    figure = with_heading(
+        sensitivity_title(result), subtitle, (SIZE[0], max(4.0, 1.9 + 0.6 * len(rows)))
+    )
     axes = figure.subplots()
     places = np.arange(len(rows), dtype=float)
     pairs = (("ST", 0.18, PALE, "total, with interactions"), ("S1", -0.18, BLUE, "alone"))

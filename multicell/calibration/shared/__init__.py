@@ -1,1 +1,1 @@
-"""Wording shared by fits, dose responses and sensitivity analyses."""
+"""Wording and confidence shared by fits, dose responses and sensitivity analyses."""

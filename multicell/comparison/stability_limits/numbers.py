@@ -26,7 +26,7 @@ STABILITY_FILES: Final = (
 class StabilityWords:
     """Words of a map of stability.
 
-    - ``ends``: kind of end of a trial -> what it means
+    - ``ends``: kind of end of a trial -> its meaning
     - ``tolerance``: what a tolerance is; ``subtitle``, ``note``: of the page
     """
 

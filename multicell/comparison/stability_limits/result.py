@@ -27,7 +27,7 @@ class StabilityMap(TrialTable):
         ``words`` (what was seen), ``steps``, ``wall`` (s).
     facts : dict
         ``precision`` of the bisection, ``wall`` (s), ``versions``; of a network also ``moments``:
-        for each coupling step that is tried the largest |λ| and how long fixed steps may be.
+        for each coupling step that is tried the largest rate and how long fixed steps may be.
     words : StabilityWords
     """
 

@@ -19,6 +19,7 @@ from multicell.comparison.stability_limits.trial import STABLE, judge, run_trial
 from multicell.integrators.base import Integrator
 from multicell.results.folder import versions
 from multicell.scene.scene import Scene, load_scene
+from multicell.scene.sizes import division_radii
 
 LOOSEST_TOLERANCE: Final = 0.1
 """Loosest tolerance that is tried, in mean radii; one that loose asks for hardly anything."""
@@ -84,7 +85,7 @@ def stability(
     described = scene if isinstance(scene, Scene) else load_scene(scene)
     note = progress or (lambda _: None)
     names = [*capable_methods(described), *_EXTRA] if methods is None else methods
-    chosen = select_methods(names, described, 0.9 * described.cells.division_radius)
+    chosen = select_methods(names, described, 0.9 * division_radii(described)[0])
     what = {"patience": patience, "threads": threads}
     with open_measurements(
         output, STABILITY_FILES, described, what, chosen, names, overwrite=overwrite
@@ -173,7 +174,7 @@ def bracket(stable: Trial, guess: float, ceiling: float) -> float:
 def search_up(stable: Trial, tolerances: Sequence[float], tightest: float) -> None:
     """Try tolerances from tight to loose, then bisect below the first one that is not stable.
 
-    What is stable does not always hang together here: all of them are tried. ``tightest`` is tried
+    Stable settings need not be neighbours: all of them are tried. ``tightest`` is tried
     where the first of them fails.
     """
     ladder = tolerances if stable(tolerances[0]) else (tightest, *tolerances)

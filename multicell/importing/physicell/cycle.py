@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 from multicell.behaviours.growth_laws.laws import RelaxationGrowth
 from multicell.cells import SPHERE
-from multicell.importing.files import whole_number
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, CellDefinition, Model
 from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
+from multicell.units import whole_number
 
 if TYPE_CHECKING:
     from multicell.importing.files import Element
@@ -42,7 +42,7 @@ class CycleModel:
     """A model of the cycle."""
 
     name: str
-    usual: tuple[tuple[float, bool], ...]  # its phases with what PhysiCell has for them
+    usual: tuple[tuple[float, bool], ...]  # its phases with PhysiCell's entries for them
     homes: tuple[str, ...]  # the phase of ours in which each of them is
     doubles_before: bool = True  # whether volume doubles before division, not after it
 

@@ -10,6 +10,7 @@ from multicell.importing.imported import Fate
 from multicell.importing.physicell.cycle import stated_phases
 from multicell.importing.physicell.model import MINUTE, CellDefinition, Model
 from multicell.importing.physicell.rules import rules_of, set_behaviour
+from multicell.roots import brent_root
 
 if TYPE_CHECKING:
     from multicell.importing.files import Element
@@ -109,8 +110,6 @@ def _time_to_burst(kind: CellDefinition, dying: Dying) -> float | None:
 
     Its solids s decay, and fluid F comes in as long as there are solids: dF/dt = k (V - F) = k s.
     """
-    from scipy.optimize import brentq
-
     goal = dying.parameters["relative_rupture_volume"]
     k = dying.parameters["unlysed_fluid_change_rate"]
     fluid = kind.number_of("volume/fluid_fraction", 0.75)
@@ -129,7 +128,7 @@ def _time_to_burst(kind: CellDefinition, dying: Dying) -> float | None:
 
     if not 1.0 < goal <= volume(1e5):
         return None
-    return float(brentq(lambda t: volume(t) - goal, 0.0, 1e5, xtol=1e-9, rtol=1e-14))
+    return brent_root(lambda t: volume(t) - goal, 0.0, 1e5, xtol=1e-9, rtol=1e-14)
 
 
 def _account_for(model: Model, kind: CellDefinition) -> None:

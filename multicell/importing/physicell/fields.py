@@ -170,8 +170,8 @@ def read_secretion(model: Model) -> None:
     for kind in model.kinds:
         for one in kind.listed("secretion", "substrate", own=True):
             if one.attributes.get("name") not in model.fields:
-                problem = f"is of '{one.attributes.get('name')}', which is no substance"
-                raise one.error(problem)
+                note = f"no substance '{one.attributes.get('name', '')[:60]}' is declared"
+                model.account.take_all([one], Fate.LEFT_OUT, note=note)
     for name in model.fields:
         known = {kind: _exchange(kind, name) for kind in model.kinds}
         _set_field(model, name, known)

@@ -1,7 +1,7 @@
 """Networks inside cells: what libRoadRunner solves in PhysiCell.
 
 ``intracellular`` of the type ``roadrunner`` names a file of SBML and maps between it and the cell:
-substances set species, and species set what the cell does, by a code. Numbers pass as they are,
+substances set species, and species set behaviours of the cell, by a code. Numbers pass as they are,
 whatever units the file states: a substance in its unit, rates per minute, speeds in µm/min. Here a
 species acts as a straight line up to the largest value that it begins with or that an event gives
 it; beyond that it acts no more.
@@ -17,7 +17,7 @@ import numpy as np
 from multicell.errors import SceneError
 from multicell.importing.files import found_file
 from multicell.importing.imported import Fate
-from multicell.importing.physicell.model import CellDefinition, Model
+from multicell.importing.physicell.model import MINUTE, CellDefinition, Model
 from multicell.importing.physicell.rules import Rule
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from multicell.importing.files import Element
     from multicell.networks.network import Network
 
-_MINUTE: Final = 60.0  # s
 _READ: Final = ("roadrunner", "sbml")
 _NAMES: Final = {
     "maboss": "a Boolean network (MaBoSS)",
@@ -94,7 +93,7 @@ def _read_network(model: Model, kind: CellDefinition, found: Element, folder: Pa
     if len(model.kinds) > 1:
         table["cells"] = kind.key
     if network.time_unit is None:
-        table["time_unit"] = _MINUTE  # as PhysiCell calls it
+        table["time_unit"] = MINUTE  # as PhysiCell calls it
     if inputs:
         table["inputs"] = {name: model.fields[substance] for name, substance in inputs.items()}
         table["scales"] = {name: 1.0 / model.unit[of] for name, of in inputs.items()}

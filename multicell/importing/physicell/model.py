@@ -27,7 +27,7 @@ _MAX_TYPES = 1000
 """Types of cells that are read; what each says of each other one grows with the square of it."""
 
 _FROM_ZERO = ("motility/options", "secretion", "cell_interactions", "cell_transformations")
-"""What a type does not take over from the first one, unless it names that as its parent."""
+"""Parts that a type inherits from the first one only if it names that as its parent."""
 
 
 @final
@@ -39,7 +39,7 @@ class CellDefinition:
     key: str  # its name in the scene
     number: int  # its ID, by which tables of cells name it
     element: Element
-    parent: CellDefinition | None  # from which it takes what it does not say itself
+    parent: CellDefinition | None  # from which it inherits missing parts
     declared: bool  # whether it names that parent
     count: int = 0  # cells at the start
 
@@ -147,7 +147,7 @@ def keys_of(names: Iterable[str], prefix: str) -> list[str]:
 def read_kinds(root: Element, account: Account) -> list[CellDefinition]:
     """Return the types of cells.
 
-    A type takes what it does not say from the one named as its ``parent_type``, else from that
+    A type inherits missing parts from the one named as its ``parent_type``, else from that
     called ``default`` or with the ID 0.
     """
     elements = root.all("cell_definitions/cell_definition")
@@ -165,7 +165,7 @@ def read_kinds(root: Element, account: Account) -> list[CellDefinition]:
         kind = _kind(element, key, place, made)
         note = [] if key == kind.name else [f"called {key} here"]
         if kind.declared and kind.parent is not None:
-            note.append(f"takes what it does not say from '{kind.parent.name}'")
+            note.append(f"inherits missing parts from '{kind.parent.name}'")
         account.take(element, Fate.MAPPED, f"types.{key}", "; ".join(note), kind.name)
         made.append(kind)
     return made

@@ -256,7 +256,7 @@ def import_physicell(path: str | Path) -> Imported:
     model = _read(root, source)
     assert model.cells is not None
     start = model.cells.columns(phases="growth" in model.scene)
-    note = "no code is read: what custom modules do to cells (oxygen that decides on the cycle, "
+    note = "no code is read: effects of custom modules on cells (oxygen that decides on the cycle, "
     note += "contacts, placement) is not in the settings"
     model.account.add("C++ code of the model", "", _LEFT, "", note)
     note = "dead cells take up nothing here, a tenth in PhysiCell"

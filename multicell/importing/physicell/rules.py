@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.behaviours.catalogue import CONTACTS, behaviour_named
 from multicell.errors import SceneError
-from multicell.importing.files import found_file, read_rows, whole_number
+from multicell.importing.files import found_file, read_rows
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, CellDefinition, Model
+from multicell.units import whole_number
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -166,10 +167,11 @@ def set_behaviour(
     end: Callable[[Rule], float],
     note: str = "",
 ) -> None:
-    """Set what types do: their own values where these are not the scene's, and what rules say.
+    """Set behaviours of types: their own values where these are not the scene's, and rules.
 
     - ``behaviour``, ``usual``: of the scene, and what it gives for all types
-    - ``own``, ``end``: what types do by themselves, and at saturation of a rule, in its unit there
+    - ``own``, ``end``: values of types by themselves, and at saturation of a rule, in its unit
+      there
     - ``note``: how the behaviour here differs from that of the rules
     """
     known, most = list(rules), behaviour_named(behaviour, "")[0].at_most

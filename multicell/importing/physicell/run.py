@@ -6,10 +6,10 @@ import math
 from typing import TYPE_CHECKING
 
 from multicell.errors import SceneError
-from multicell.importing.files import whole_number
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, Model
 from multicell.scene.domain import filling
+from multicell.units import whole_number
 
 if TYPE_CHECKING:
     from multicell.importing.files import Element
@@ -24,8 +24,8 @@ def read_run(model: Model) -> None:
     overall = _required(model.root, "overall")
     every = model.root.find("save/full_data/interval")
     model.scene["duration"] = _required(overall, "max_time").number(above=0.0) * MINUTE
-    step = overall.number_at("dt_phenotype", 6.0, above=0.0)
-    model.scene["coupling_step"] = step * MINUTE
+    dt = overall.number_at("dt_phenotype", 6.0, above=0.0)
+    model.scene["coupling_step"] = dt * MINUTE
     if every is not None and not every.is_off() and every.number() > 0.0:
         model.part("output")["every"] = every.number() * MINUTE
     seeds = ("options/random_seed", "user_parameters/random_seed")
@@ -61,14 +61,14 @@ def _read_domain(model: Model) -> None:
     plane = box.find("use_2D")
     flat = plane is not None and plane.flag()
     model.scene["dimensions"], axes = (2, "xy") if flat else (3, "xyz")
-    step = voxel_side(model)
+    spacing = voxel_side(model)
     for axis in axes:
         low, high = (_required(box, f"{axis}_{end}") for end in ("min", "max"))
         first, last = (end.number(at_least=-_FARTHEST, at_most=_FARTHEST) for end in (low, high))
         ends[axis] = first, last
         if not first < last:
             raise low.error(f"is {low.word()}, must be below {axis}_max, {high.word()}")
-    widened = _fitting(ends, step)
+    widened = _fitting(ends, spacing)
     for axis in axes:
         model.part("domain")[axis] = list(widened[axis])
         for end, was, now in zip(("min", "max"), ends[axis], widened[axis], strict=True):
@@ -84,7 +84,7 @@ def _read_domain(model: Model) -> None:
 def account_for_steps(model: Model) -> None:
     """Account for voxels and the step of phenotypes, when it is known whether they can be ours."""
     used = min((part["spacing"] for part in model.part("nutrients").values()), default=None)
-    step = model.scene["coupling_step"]
+    coupling_step = model.scene["coupling_step"]
     other = {
         f"domain/d{axis}": ("nutrients.*.spacing", 1.0, used, "um: cubes for cells of this size")
         for axis in "xyz"
@@ -92,7 +92,7 @@ def account_for_steps(model: Model) -> None:
     other["overall/dt_phenotype"] = (
         "coupling_step",
         MINUTE,
-        step,
+        coupling_step,
         "s: motion and the cycle are held in a coupling step",
     )
     for path, (key, unit, ours, why) in other.items():
@@ -101,12 +101,14 @@ def account_for_steps(model: Model) -> None:
                 model.account.take(one, Fate.APPROXIMATED, key, f"{ours:g} {why}")
 
 
-def _fitting(ends: dict[str, tuple[float, float]], step: float) -> dict[str, tuple[float, float]]:
+def _fitting(
+    ends: dict[str, tuple[float, float]], spacing: float
+) -> dict[str, tuple[float, float]]:
     """Return the ends of a box that cubes fill: as they are, or widened evenly to whole cubes."""
-    if filling([high - low for low, high in ends.values()], step) is not None:
+    if filling([high - low for low, high in ends.values()], spacing) is not None:
         return ends
     made = {}
     for axis, (low, high) in ends.items():
-        more = 0.5 * (math.ceil((high - low) / step - 1e-9) * step - (high - low))
+        more = 0.5 * (math.ceil((high - low) / spacing - 1e-9) * spacing - (high - low))
         made[axis] = low - more, high + more
     return made

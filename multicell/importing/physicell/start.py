@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from multicell.cells import SPHERE, FloatArray
 from multicell.errors import SceneError
-from multicell.importing.files import found_file, read_rows
+from multicell.importing.files import elsewhere, found_file, read_rows
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import CellDefinition, Model
 
@@ -57,9 +57,10 @@ def read_start(model: Model, folder: Path) -> Start:
     """Return the cells at the start, and count those of each type."""
     given = model.root.find("initial_conditions/cell_positions")
     if given is not None and given.says("enabled"):
-        start = _from_table(model, found_file(given, folder))
+        path = found_file(given, folder)
+        start, note = _from_table(model, path), elsewhere(given, folder, path)
         for tag in ("folder", "filename"):
-            model.account.take_all(given.all(tag), Fate.MAPPED, "initial.cells")
+            model.account.take_all(given.all(tag), Fate.MAPPED, "initial.cells", note)
     else:
         if given is not None:
             model.account.take_all([given], Fate.OFF)
@@ -131,7 +132,9 @@ def _from_table(model: Model, path: Path) -> Start:
     position = np.array([cell[0] for cell in cells]).reshape(-1, 3)
     keep = _inside(model, path, position)
     if not keep.any():
-        raise SceneError(path.name, "has no cell of a type of the model in its box")
+        note = "has no cell of a type of the model in its box: as if there were no table"
+        model.account.add(path.name, "", Fate.LEFT_OUT, "", note)
+        return _without_table(model)
     if model.scene["dimensions"] == 2:
         if position[:, 2].any():
             note = "all are 0: a scene of two dimensions is the plane there"
@@ -168,15 +171,21 @@ def _account_for_columns(
 
 def _inside(model: Model, path: Path, position: FloatArray) -> NDArray[np.bool_]:
     """Return which cells are in the box: PhysiCell takes no part in those outside either."""
-    keep = np.ones(len(position), dtype=bool)
-    for k, axis in enumerate("xyz"):
-        if axis in model.scene["domain"]:
-            low, high = model.scene["domain"][axis]
-            keep &= (position[:, k] >= low) & (position[:, k] <= high)
+    keep = np.asarray(_within(model, position).all(axis=1))
     if not keep.all():
         note = f"{int((~keep).sum())} cells outside the box"
         model.account.add(path.name, "", Fate.LEFT_OUT, "", note)
     return keep
+
+
+def _within(model: Model, position: FloatArray) -> NDArray[np.bool_]:
+    """Return whether each coordinate is between the sides of the box, those without sides too."""
+    within = np.ones(position.shape, dtype=bool)
+    for k, axis in enumerate("xyz"[: position.shape[1]]):
+        if axis in model.scene["domain"]:
+            low, high = model.scene["domain"][axis]
+            within[:, k] = (position[:, k] >= low) & (position[:, k] <= high)
+    return within
 
 
 def _coinciding(source: str, position: FloatArray, distance: float) -> NDArray[np.int64]:
@@ -198,7 +207,10 @@ def _move_apart(model: Model, source: str, start: Start) -> Start:
         again = np.unique(near[:, 1])
         moved += again.size
         angle = 2.0 * np.pi * random.random(again.size)
-        position[again, :2] += _AWAY * radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        step = _AWAY * radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        # back into the box where it would lead out
+        back = ~_within(model, position[again, :2] + step)
+        position[again, :2] += np.where(back, -step, step)
     if moved:
         note = f"{moved} cells at the place of another one are moved by {_AWAY * radius:.2g} um"
         model.account.add(source, "", Fate.APPROXIMATED, "initial.cells", note)

@@ -22,10 +22,10 @@ from multicell.integrators.fused import assess, chunks, foresee
 from multicell.integrators.stepping import (
     _SHORTEST,
     DONE,
+    DT,
     ELAPSED,
     EVALUATIONS,
     MOVED,
-    STEP,
     TOO_LONG,
     Report,
     combine_slopes,
@@ -48,25 +48,25 @@ def fixed_adams(source, pairs, position, length, radius, counts, steps, allowed)
     """Take equal steps of the two-step Adams-Bashforth method, the first one by Heun's."""
     slopes = np.empty((2, position.shape[0], 3))
     trial = np.empty_like(position)
-    step = length / steps
+    dt = length / steps
     weights = np.full(2, 0.5)
     for k in range(steps):
-        elapsed = k * step
+        elapsed = k * dt
         # the newest slope goes where the oldest was
         new = k % 2
         status, pairs = evaluate(source, pairs, elapsed, position, slopes[new])
         if k == 0 and status == DONE:
-            displace(position, step, slopes[0], trial)
-            status, pairs = evaluate(source, pairs, step, trial, slopes[1])
+            displace(position, dt, slopes[0], trial)
+            status, pairs = evaluate(source, pairs, dt, trial, slopes[1])
         elif k > 0:
             weights[new], weights[1 - new] = 1.5, -0.5
         if status != DONE:
-            return Report(status, elapsed, step, -1, math.inf), pairs
-        combine_slopes(position, step, weights, slopes, 2, trial)
+            return Report(status, elapsed, dt, -1, math.inf), pairs
+        combine_slopes(position, dt, weights, slopes, 2, trial)
         cell, moved = take_fixed_step(position, trial, radius, allowed, counts)
         if not moved <= allowed:
-            return Report(MOVED, elapsed, step, cell, moved), pairs
-    return Report(DONE, length, step, -1, 0.0), pairs
+            return Report(MOVED, elapsed, dt, cell, moved), pairs
+    return Report(DONE, length, dt, -1, 0.0), pairs
 
 
 @compiled
@@ -88,46 +88,46 @@ def adaptive_adams(source, pairs, position, length, radius, counts, control, pat
     # not further than the neighbour list reaches: a refused trial would cost two lists
     cell, moved = foresee(source, 1.0, slopes[now], 0.0, slopes[now], here, radius, trial, found)
     walk = control_state(0.5 * length)
-    if moved * walk[STEP] > 0.14 * control.max_displacement:
-        walk[STEP] = 0.14 * control.max_displacement / moved
+    if moved * walk[DT] > 0.14 * control.max_displacement:
+        walk[DT] = 0.14 * control.max_displacement / moved
     while walk[ELAPSED] < length:
-        elapsed, step = walk[ELAPSED], walk[STEP]
+        elapsed, dt = walk[ELAPSED], walk[DT]
         left = length - elapsed
         # equal steps to the end, so that no tiny one is left over
-        if step > _SHORTEST * length:
-            step = walk[STEP] = left / np.ceil(left / step * (1.0 - 1e-12))
+        if dt > _SHORTEST * length:
+            dt = walk[DT] = left / np.ceil(left / dt * (1.0 - 1e-12))
         status = stop_reason(walk, counts, control, length)
         if status == DONE and patience and tried >= _TRIED:
-            expected = counts[EVALUATIONS] - first + left / step
+            expected = counts[EVALUATIONS] - first + left / dt
             if expected > patience:
                 status, cell, moved = TOO_LONG, -1, expected
         if status != DONE:
             copy(here, position)
-            return Report(status, elapsed, step, cell, moved), pairs
+            return Report(status, elapsed, dt, cell, moved), pairs
         tried += 1
-        r = step / last if last > 0.0 else 0.0
-        ahead, behind, other = step * (1.0 + 0.5 * r), -0.5 * r * step, old
+        r = dt / last if last > 0.0 else 0.0
+        ahead, behind, other = dt * (1.0 + 0.5 * r), -0.5 * r * dt, old
         if last == 0.0:
             _, moved = foresee(
-                source, step, slopes[now], 0.0, slopes[now], here, radius, trial, found
+                source, dt, slopes[now], 0.0, slopes[now], here, radius, trial, found
             )
-            ahead, behind, other = 0.5 * step, 0.5 * step, now
+            ahead, behind, other = 0.5 * dt, 0.5 * dt, now
             if moved <= 4.0 * control.max_displacement:
-                status, pairs = evaluate(source, pairs, step, trial, slopes[old])
+                status, pairs = evaluate(source, pairs, dt, trial, slopes[old])
                 other = old
         cell, moved = foresee(
             source, ahead, slopes[now], behind, slopes[other], here, radius, trial, found
         )
         if status == DONE and moved <= control.max_displacement:
-            status, pairs = evaluate(source, pairs, elapsed + step, trial, slopes[new])
+            status, pairs = evaluate(source, pairs, elapsed + dt, trial, slopes[new])
         if refuse_step(walk, counts, control, status, moved):
             continue
         if last > 0.0:
-            share = step * (3.0 + 2.0 * r) / (3.0 + 3.0 * r)
+            share = dt * (3.0 + 2.0 * r) / (3.0 + 3.0 * r)
             least = 0.2
         else:
             # of Heun's and its corrector once more; now counts for nothing
-            share, least = step, 0.02
+            share, least = dt, 0.02
         b, c = (-0.5 * (1.0 + r), 0.5 * r) if last > 0.0 else (0.0, -0.5)
         size = assess(
             source,
@@ -146,6 +146,6 @@ def adaptive_adams(source, pairs, position, length, radius, counts, control, pat
         if control_step(walk, counts, control, length, size, least, 2.0, True):
             here, trial = trial, here
             old, now, new = now, new, old
-            last = step
+            last = dt
     copy(here, position)
-    return Report(DONE, length, walk[STEP], -1, 0.0), pairs
+    return Report(DONE, length, walk[DT], -1, 0.0), pairs

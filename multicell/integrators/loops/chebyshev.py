@@ -21,9 +21,9 @@ from numba.extending import register_jitable
 from multicell.compiling import arithmetic
 from multicell.integrators.stepping import (
     DONE,
+    DT,
     ELAPSED,
     MOVED,
-    STEP,
     Report,
     accept_step,
     compiled,
@@ -93,36 +93,36 @@ def coefficients(stages):
 
 
 @arithmetic
-def _recur(row, step, base, near, far, slope, slope0, out):
+def _recur(row, dt, base, near, far, slope, slope0, out):
     """Write the next stage of the recurrence; as a displacement, to keep rounding small."""
     x0, x1, x2 = base.reshape(-1), near.reshape(-1), far.reshape(-1)
     f, f0, y = slope.reshape(-1), slope0.reshape(-1), out.reshape(-1)
     mu, nu = row[_MU], row[_NU]
-    mt, gt = step * row[_MU_SLOPE], step * row[_GAMMA_SLOPE]
+    mt, gt = dt * row[_MU_SLOPE], dt * row[_GAMMA_SLOPE]
     for k in range(y.size):
         x = x0[k]
         y[k] = x + (mu * (x1[k] - x) + nu * (x2[k] - x) + mt * f[k] + gt * f0[k])
 
 
 @register_jitable
-def _chebyshev(source, pairs, table, position, slope0, elapsed, step, work):
+def _chebyshev(source, pairs, table, position, slope0, elapsed, dt, work):
     """Take one step; the result is left in ``work[0]``."""
     far, near, new, slope = work[1], work[2], work[0], work[3]
     copy(position, far)
-    displace(position, step * table[1, _MU_SLOPE], slope0, near)
+    displace(position, dt * table[1, _MU_SLOPE], slope0, near)
     for j in range(2, table.shape[0]):
-        status, pairs = evaluate(source, pairs, elapsed + table[j - 1, _TIME] * step, near, slope)
+        status, pairs = evaluate(source, pairs, elapsed + table[j - 1, _TIME] * dt, near, slope)
         if status != DONE:
             copy(near, new)
             return status, pairs
-        _recur(table[j], step, position, near, far, slope, slope0, new)
+        _recur(table[j], dt, position, near, far, slope, slope0, new)
         copy(near, far)
         copy(new, near)
     return DONE, pairs
 
 
 @arithmetic
-def _estimate(step, before, after, slope0, slope, out):
+def _estimate(dt, before, after, slope0, slope, out):
     """Write the estimated error of a step."""
     x, y, f0, f, e = (
         before.reshape(-1),
@@ -132,7 +132,7 @@ def _estimate(step, before, after, slope0, slope, out):
         out.reshape(-1),
     )
     for k in range(e.size):
-        e[k] = 0.8 * (x[k] - y[k]) + 0.4 * step * (f0[k] + f[k])
+        e[k] = 0.8 * (x[k] - y[k]) + 0.4 * dt * (f0[k] + f[k])
 
 
 @arithmetic
@@ -242,12 +242,12 @@ def spectral_radius(source, pairs, elapsed, position, slope, radius, vector, cou
 
 
 @arithmetic
-def stages_for(step, rate, most):
+def stages_for(dt, rate, most):
     """Return the number of stages that a step needs."""
     stages = 2
-    while stages < most and stable_length(stages) < step * rate:
+    while stages < most and stable_length(stages) < dt * rate:
         # the law says where to search, its exact value decides
-        guess = int(min(math.sqrt(1.5 * step * rate + 1.0), most + 1.0)) - 1
+        guess = int(min(math.sqrt(1.5 * dt * rate + 1.0), most + 1.0)) - 1
         stages = max(stages + 1, guess)
     return stages
 
@@ -259,11 +259,11 @@ def fixed_chebyshev(
     """Take equal steps of RKC2, with ``stages`` stages or, if zero, as many as are needed."""
     work = np.empty((4, position.shape[0], 3))
     slope, vector = np.empty_like(position), np.empty_like(position)
-    step = length / steps
+    dt = length / steps
     table = coefficients(max(stages, 2))
     _scramble(vector)
     for k in range(steps):
-        elapsed = k * step
+        elapsed = k * dt
         status, pairs = evaluate(source, pairs, elapsed, position, slope)
         if stages == 0 and status == DONE and k % _AGE == 0:
             _mix(radius, vector, slope)
@@ -277,15 +277,15 @@ def fixed_chebyshev(
                 vector,
                 _COLD if k == 0 else _WARM,
             )
-            table = coefficients(stages_for(step, _SAFETY * rate, most_stages))
+            table = coefficients(stages_for(dt, _SAFETY * rate, most_stages))
         if status == DONE:
-            status, pairs = _chebyshev(source, pairs, table, position, slope, elapsed, step, work)
+            status, pairs = _chebyshev(source, pairs, table, position, slope, elapsed, dt, work)
         if status != DONE:
-            return Report(status, elapsed, step, -1, math.inf), pairs
+            return Report(status, elapsed, dt, -1, math.inf), pairs
         cell, moved = take_fixed_step(position, work[0], radius, allowed, counts)
         if not moved <= allowed:
-            return Report(MOVED, elapsed, step, cell, moved), pairs
-    return Report(DONE, length, step, -1, 0.0), pairs
+            return Report(MOVED, elapsed, dt, cell, moved), pairs
+    return Report(DONE, length, dt, -1, 0.0), pairs
 
 
 @compiled
@@ -300,10 +300,10 @@ def adaptive_chebyshev(source, pairs, position, length, radius, counts, control,
     status, pairs = evaluate(source, pairs, 0.0, position, slope)
     if status != DONE:
         return Report(status, 0.0, 0.0, -1, math.inf), pairs
-    step, pairs = starting_step(
+    dt, pairs = starting_step(
         source, pairs, control, position, slope, work[0], work[1], length, radius
     )
-    walk = control_state(step)
+    walk = control_state(dt)
     _scramble(vector)
     copy(slope, error)
     rate, products, age = 0.0, _COLD, 0
@@ -316,30 +316,30 @@ def adaptive_chebyshev(source, pairs, position, length, radius, counts, control,
             )
             products, age = 0, 0
         if rate > 0.0:
-            walk[STEP] = min(walk[STEP], stable_length(most_stages) / (_SAFETY * rate))
-        step = walk[STEP] = fit_step(walk[STEP], length - elapsed)
+            walk[DT] = min(walk[DT], stable_length(most_stages) / (_SAFETY * rate))
+        dt = walk[DT] = fit_step(walk[DT], length - elapsed)
         status = stop_reason(walk, counts, control, length)
         if status != DONE:
-            return Report(status, elapsed, step, cell, moved), pairs
-        stages = stages_for(step, _SAFETY * rate, most_stages)
+            return Report(status, elapsed, dt, cell, moved), pairs
+        stages = stages_for(dt, _SAFETY * rate, most_stages)
         if stages != table.shape[0] - 1:
             table = coefficients(stages)
-        status, pairs = _chebyshev(source, pairs, table, position, slope, elapsed, step, work)
+        status, pairs = _chebyshev(source, pairs, table, position, slope, elapsed, dt, work)
         trial = work[0]
         cell, moved = furthest_move(position, trial, radius)
         if status == DONE and moved <= control.max_displacement:
-            status, pairs = evaluate(source, pairs, elapsed + step, trial, work[1])
+            status, pairs = evaluate(source, pairs, elapsed + dt, trial, work[1])
         good, part = not refuse_step(walk, counts, control, status, moved), 1.0
         if good:
             part = part_of_step(
-                source, pairs, position, trial, slope, work[1], elapsed, step, moved, control.atol
+                source, pairs, position, trial, slope, work[1], elapsed, dt, moved, control.atol
             )
         if part < 1.0:
             shorten_step(walk, counts, part)
             products = 0
             continue
         if good:
-            _estimate(step, position, trial, slope, work[1], error)
+            _estimate(dt, position, trial, slope, work[1], error)
             good = accept_step(
                 walk, counts, control, length, position, trial, error, 0.2, 5.0, False
             )
@@ -352,4 +352,4 @@ def adaptive_chebyshev(source, pairs, position, length, radius, counts, control,
         else:
             # refused twice in a row: the rate is known here already
             products = _COLD if age > 0 else 0
-    return Report(DONE, length, walk[STEP], -1, 0.0), pairs
+    return Report(DONE, length, walk[DT], -1, 0.0), pairs

@@ -25,11 +25,11 @@ from multicell.cells import FloatArray
 from multicell.compiling import arithmetic
 from multicell.integrators.stepping import (
     DONE,
+    DT,
     ELAPSED,
     EVALUATIONS,
     LIST_BUILDS,
     LIST_REPAIRS,
-    STEP,
     Report,
     Source,
     accept_step,
@@ -143,7 +143,7 @@ def _fast_pairs(is_fast, pairs, place, both, one):
         ends[:1],
         ends[1:2],
         ends[2:],
-        pairs.sticky,
+        pairs.adhesion,
         pairs.unit,
         pairs.onset,
         pairs.period,
@@ -209,7 +209,7 @@ def _compiled_part(source, pairs, is_fast):
 
 
 @arithmetic
-def _carry(part, slope, elapsed, step, trial):
+def _carry(part, slope, elapsed, dt, trial):
     """Move the fast cells in ``trial`` by one short step that begins ``elapsed`` into the long one.
 
     Then put all cells of the part where they are at its end: ``slope`` carries the slow ones.
@@ -218,19 +218,19 @@ def _carry(part, slope, elapsed, step, trial):
         i = part.member[k]
         for a in range(3):
             if k < part.fast:
-                trial[i, a] += step * part.velocity[k, a]
+                trial[i, a] += dt * part.velocity[k, a]
             part.position[k, a] = trial[i, a]
             if k >= part.fast:
-                part.position[k, a] += (elapsed + step) * slope[i, a]
+                part.position[k, a] += (elapsed + dt) * slope[i, a]
 
 
 @arithmetic
-def _finish(is_fast, step, slope, trial):
+def _finish(is_fast, dt, slope, trial):
     """Put the slow cells where they are at the end of a step."""
     for i in range(is_fast.size):
         if not is_fast[i]:
             for a in range(3):
-                trial[i, a] += step * slope[i, a]
+                trial[i, a] += dt * slope[i, a]
 
 
 @arithmetic
@@ -242,13 +242,13 @@ def _take(part, velocity):
 
 
 @register_jitable
-def _short_steps(source, pairs, part, is_fast, position, slope, elapsed, step, ratio, trial, new):
+def _short_steps(source, pairs, part, is_fast, position, slope, elapsed, dt, ratio, trial, new):
     """Carry all cells over a step, the fast ones in ``ratio`` short steps, to ``trial``.
 
     Returns how it went, the list of pairs, the part, which is made anew with the list, and what
     share of an evaluation of all cells it has taken.
     """
-    short, spent = step / ratio, 0.0
+    short, spent = dt / ratio, 0.0
     copy(position, trial)
     _take(part, slope)
     for k in range(ratio):
@@ -275,15 +275,15 @@ def _short_steps(source, pairs, part, is_fast, position, slope, elapsed, step, r
                 return status, pairs, part, spent
             part = _part(source, pairs, is_fast)
             _take(part, new)
-    _finish(is_fast, step, slope, trial)
+    _finish(is_fast, dt, slope, trial)
     return DONE, pairs, part, spent
 
 
 @arithmetic
-def _estimate(is_fast, step, ratio, slope, new, error):
+def _estimate(is_fast, dt, ratio, slope, new, error):
     """Write the estimated errors of a step; those of the short steps add up to the same form."""
     for i in range(is_fast.size):
-        half = 0.5 * step / ratio if is_fast[i] else 0.5 * step
+        half = 0.5 * dt / ratio if is_fast[i] else 0.5 * dt
         for a in range(3):
             error[i, a] = half * slope[i, a] - half * new[i, a]
 
@@ -352,35 +352,33 @@ def adaptive_multirate(source, pairs, position, length, radius, counts, control)
     status, pairs = evaluate(source, pairs, 0.0, position, slope)
     if status != DONE:
         return Report(status, 0.0, 0.0, -1, math.inf), pairs
-    step, pairs = starting_step(
-        source, pairs, control, position, slope, trial, error, length, radius
-    )
-    walk = control_state(step)
+    dt, pairs = starting_step(source, pairs, control, position, slope, trial, error, length, radius)
+    walk = control_state(dt)
     part = _part(source, pairs, is_fast)
     while walk[ELAPSED] < length:
         elapsed = walk[ELAPSED]
-        step = walk[STEP] = fit_step(walk[STEP], length - elapsed)
+        dt = walk[DT] = fit_step(walk[DT], length - elapsed)
         status = stop_reason(walk, counts, control, length)
         if status != DONE:
-            return Report(status, elapsed, step, cell, moved), pairs
+            return Report(status, elapsed, dt, cell, moved), pairs
         if ratio == 1:
-            displace(position, step, slope, trial)
+            displace(position, dt, slope, trial)
         else:
             if built != counts[LIST_BUILDS] + counts[LIST_REPAIRS]:
                 part = _part(source, pairs, is_fast)
             status, pairs, part, share = _short_steps(
-                source, pairs, part, is_fast, position, slope, elapsed, step, ratio, trial, new
+                source, pairs, part, is_fast, position, slope, elapsed, dt, ratio, trial, new
             )
             spent += share
             counts[EVALUATIONS] += int(spent)
             spent -= int(spent)
             built = counts[LIST_BUILDS] + counts[LIST_REPAIRS]
         if status == DONE:
-            status, pairs = evaluate(source, pairs, elapsed + step, trial, new)
+            status, pairs = evaluate(source, pairs, elapsed + dt, trial, new)
         cell, moved = furthest_move(position, trial, radius)
         if refuse_step(walk, counts, control, status, moved):
             continue
-        _estimate(is_fast, step, ratio, slope, new, error)
+        _estimate(is_fast, dt, ratio, slope, new, error)
         if accept_step(walk, counts, control, length, position, trial, error, 0.2, 5.0, False):
             copy(new, slope)
             age += 1
@@ -390,9 +388,9 @@ def adaptive_multirate(source, pairs, position, length, radius, counts, control)
         else:
             # errors of unstable steps say little about another grouping: a step that was refused
             # with the old one might otherwise be tried again for ever
-            longest = walk[STEP]
+            longest = walk[DT]
         ratio, factor = _grouped(error, is_fast, ratio, most)
         if factor != 1.0:
-            walk[STEP] = min(walk[STEP] * min(factor, 5.0), longest)
+            walk[DT] = min(walk[DT] * min(factor, 5.0), longest)
             built = -1
-    return Report(DONE, length, walk[STEP], -1, 0.0), pairs
+    return Report(DONE, length, walk[DT], -1, 0.0), pairs

@@ -9,9 +9,9 @@ from numba.extending import register_jitable
 
 from multicell.integrators.stepping import (
     DONE,
+    DT,
     ELAPSED,
     MOVED,
-    STEP,
     Report,
     accept_step,
     combine_slopes,
@@ -30,11 +30,11 @@ from multicell.integrators.stepping import (
 
 
 @register_jitable
-def _stages(source, pairs, tableau, slopes, position, elapsed, step, trial):
+def _stages(source, pairs, tableau, slopes, position, elapsed, dt, trial):
     """Evaluate all stages but the first; ``trial`` is left at the last one."""
     for i in range(1, tableau.c.size):
-        combine_slopes(position, step, tableau.a[i], slopes, i, trial)
-        status, pairs = evaluate(source, pairs, elapsed + tableau.c[i] * step, trial, slopes[i])
+        combine_slopes(position, dt, tableau.a[i], slopes, i, trial)
+        status, pairs = evaluate(source, pairs, elapsed + tableau.c[i] * dt, trial, slopes[i])
         if status != DONE:
             return status, pairs
     return DONE, pairs
@@ -45,19 +45,19 @@ def fixed_runge_kutta(source, pairs, position, length, radius, counts, steps, al
     """Take equal steps of a Runge-Kutta method."""
     slopes = np.empty((tableau.c.size, position.shape[0], 3))
     trial = np.empty_like(position)
-    step = length / steps
+    dt = length / steps
     for k in range(steps):
-        elapsed = k * step
+        elapsed = k * dt
         status, pairs = evaluate(source, pairs, elapsed, position, slopes[0])
         if status == DONE:
-            status, pairs = _stages(source, pairs, tableau, slopes, position, elapsed, step, trial)
+            status, pairs = _stages(source, pairs, tableau, slopes, position, elapsed, dt, trial)
         if status != DONE:
-            return Report(status, elapsed, step, -1, math.inf), pairs
-        combine_slopes(position, step, tableau.b, slopes, tableau.c.size, trial)
+            return Report(status, elapsed, dt, -1, math.inf), pairs
+        combine_slopes(position, dt, tableau.b, slopes, tableau.c.size, trial)
         cell, moved = take_fixed_step(position, trial, radius, allowed, counts)
         if not moved <= allowed:
-            return Report(MOVED, elapsed, step, cell, moved), pairs
-    return Report(DONE, length, step, -1, 0.0), pairs
+            return Report(MOVED, elapsed, dt, cell, moved), pairs
+    return Report(DONE, length, dt, -1, 0.0), pairs
 
 
 @compiled
@@ -70,22 +70,22 @@ def adaptive_runge_kutta(source, pairs, position, length, radius, counts, contro
     status, pairs = evaluate(source, pairs, 0.0, position, slopes[0])
     if status != DONE:
         return Report(status, 0.0, 0.0, -1, math.inf), pairs
-    step, pairs = starting_step(
+    dt, pairs = starting_step(
         source, pairs, control, position, slopes[0], trial, error, length, radius
     )
-    walk = control_state(step)
+    walk = control_state(dt)
     while walk[ELAPSED] < length:
         elapsed = walk[ELAPSED]
-        step = walk[STEP] = fit_step(walk[STEP], length - elapsed)
+        dt = walk[DT] = fit_step(walk[DT], length - elapsed)
         status = stop_reason(walk, counts, control, length)
         if status != DONE:
-            return Report(status, elapsed, step, cell, moved), pairs
-        status, pairs = _stages(source, pairs, tableau, slopes, position, elapsed, step, trial)
+            return Report(status, elapsed, dt, cell, moved), pairs
+        status, pairs = _stages(source, pairs, tableau, slopes, position, elapsed, dt, trial)
         # the result, where the last stage was
         cell, moved = furthest_move(position, trial, radius)
         if refuse_step(walk, counts, control, status, moved):
             continue
-        error_of(step, tableau.error, slopes, error)
+        error_of(dt, tableau.error, slopes, error)
         if accept_step(walk, counts, control, length, position, trial, error, 0.2, 5.0, False):
             copy(slopes[last], slopes[0])
-    return Report(DONE, length, walk[STEP], -1, 0.0), pairs
+    return Report(DONE, length, walk[DT], -1, 0.0), pairs

@@ -15,10 +15,12 @@ from numba import njit, prange
 from multicell.cells import FloatArray
 from multicell.compiling import INLINED, INNER
 from multicell.mechanics.neighbours.pair_list import IndexArray, OffsetArray
+from multicell.mechanics.rows import RADIUS
 
 _BINS_PER_CELL = 24  # most bins for each cell: scattered cells get wider ones
 _SPARE_BINS = 4096  # and for few cells: 32 kB of counts
 SLICES = 4  # bins along x for each along y and z
+_LARGEST = 6  # column of ``extent`` behind both corners: the largest radius of a chunk
 SEARCHED = 512  # candidates that are tested in one go
 
 
@@ -67,23 +69,23 @@ def _extent(c, chunk, position, radius, extent):
     largest = radius[begin]
     for i in range(begin, end):
         largest = max(largest, radius[i])
-    extent[c, 6] = largest
+    extent[c, _LARGEST] = largest
 
 
 @njit(**INNER)
 def _dense_grid(extent, skin, n):
     """Return the largest radius, the grid's corner, and its shape: zeros with too many bins."""
     low, high, shape = np.empty(3), np.empty(3), np.empty(3, np.int64)
-    largest, total = extent[0, 6], 1.0
+    largest, total = extent[0, _LARGEST], 1.0
     for a in range(3):
         low[a], high[a] = extent[0, a], extent[0, 3 + a]
     for c in range(extent.shape[0]):
-        largest = max(largest, extent[c, 6])
+        largest = max(largest, extent[c, _LARGEST])
         for a in range(3):
             low[a], high[a] = min(low[a], extent[c, a]), max(high[a], extent[c, 3 + a])
     largest += 0.5 * skin
     for a in range(3):
-        # math.floor makes an integer, which is undefined for what no integer holds
+        # math.floor makes an integer, which is undefined beyond the range of integers
         count = np.floor((high[a] - low[a]) * (0.5 / largest) * (SLICES if a == 0 else 1)) + 1.0
         total *= count
         shape[a] = np.int64(count) if total <= _BINS_PER_CELL * n + _SPARE_BINS else 0
@@ -141,7 +143,7 @@ def _line_up(c, chunk, position, radius, skin, place, order, cells):
         order[p] = i
         for a in range(3):
             cells[p, a] = position[i, a]
-        cells[p, 3] = radius[i] + 0.5 * skin
+        cells[p, RADIUS] = radius[i] + 0.5 * skin
 
 
 @njit(**INNER)
@@ -224,7 +226,7 @@ def sparse_bins(position, radius, skin):
         place[i], line[k] = k, key[i]
         for a in range(3):
             cells[k, a] = position[i, a]
-        cells[k, 3] = radius[i] + 0.5 * skin
+        cells[k, RADIUS] = radius[i] + 0.5 * skin
     ranges = np.zeros((n, 5, 2), np.int64)
     for i in range(n):
         x = number[0, i]
@@ -291,12 +293,12 @@ def collect(cells, begin, end, a, hits, count):
     The write is unconditional and only the count depends on the test: one cell in three is
     close, which a branch would mispredict.
     """
-    x, y, z, r = cells[a, 0], cells[a, 1], cells[a, 2], cells[a, 3]
+    x, y, z, r = cells[a, 0], cells[a, 1], cells[a, 2], cells[a, RADIUS]
     for b in range(np.uint64(begin), np.uint64(end)):
         dx = cells[b, 0] - x
         dy = cells[b, 1] - y
         dz = cells[b, 2] - z
-        reach = r + cells[b, 3]
+        reach = r + cells[b, RADIUS]
         hits[np.uint64(count)] = b
         count += np.int64(dx * dx + dy * dy + dz * dz <= reach * reach)
     return count

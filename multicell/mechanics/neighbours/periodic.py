@@ -1,6 +1,6 @@
 """Lists of neighbours where space repeats: cells near a border have images beyond the others.
 
-The images stand behind the cells in one search (:mod:`.building`), and what it finds is folded back
+The images stand behind the cells in one search (:mod:`.building`), and its result is folded back
 into a list of the cells. Each pair is listed once, if two images of a cell are never within reach
 of another one: an axis has at least twice the distance at which pairs are listed.
 """

@@ -22,6 +22,8 @@ from multicell.mechanics.neighbours.margins import next_margin
 _USED = (0.25, 0.5)  # of the square of a margin: a repair gives new ones to cells beyond
 FEW = 8  # a list is repaired where one cell in so many has drifted, or fewer
 _FOUND = 64  # pairs of a cell that a repair has room for
+_BOTH, _OWN = 6, 7  # sums of x r and r r, behind those of three components of x and of r
+_MARGIN = 3  # column of ``before`` behind a reference
 _PART = 256  # cells whose pairs one thread looks for at a time
 
 
@@ -35,8 +37,8 @@ def _sum_up(c, chunk, position, reference, sums):
             x, r = position[i, a] - reference[0, a], reference[i, a] - reference[0, a]
             sums[c, a] += x
             sums[c, 3 + a] += r
-            sums[c, 6] += x * r
-            sums[c, 7] += r * r
+            sums[c, _BOTH] += x * r
+            sums[c, _OWN] += r * r
 
 
 @njit(**INNER)
@@ -50,7 +52,7 @@ def _together(sums, reference):
     for c in range(sums.shape[0]):
         for k in range(8):
             total[k] += sums[c, k]
-    both, own = total[6], total[7]
+    both, own = total[_BOTH], total[_OWN]
     for a in range(3):
         both -= total[a] * total[3 + a] / n
         own -= total[3 + a] * total[3 + a] / n
@@ -100,7 +102,7 @@ def _take_up(
                 reference[i, a] = way[0] * reference[i, a] + way[1 + a]
         moved[i] = (moved[i] >> np.uint8(mark)) & np.uint8(1)
         if moved[i]:
-            cell[k], before[k, 3], square = i, margin[i], 0.0
+            cell[k], before[k, _MARGIN], square = i, margin[i], 0.0
             for a in range(3):
                 before[k, a] = reference[i, a]
                 square += (position[i, a] - reference[i, a]) ** 2
@@ -271,7 +273,7 @@ def _repair(
         enough &= room >= 0 or room + _leaving(c, moved, first, second, start, outer_end) >= 0
     if not enough:
         for k in range(total):
-            margin[cell[k]] = before[k, 3]
+            margin[cell[k]] = before[k, _MARGIN]
             for a in range(3):
                 reference[cell[k], a] = before[k, a]
         return False, inner_end, outer_end

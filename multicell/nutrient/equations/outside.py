@@ -236,8 +236,8 @@ def _run(
     solver = SolverBase.from_name(name, problem, **_options(name, tolerance, float(scales.max())))
     try:
         # its own first step is what SciPy's and ours take from none
-        step = (end - begin) / number if math.isfinite(longest) else None
-        solver.make_stepper(state, step)(state, begin, end)
+        dt = (end - begin) / number if math.isfinite(longest) else None
+        solver.make_stepper(state, dt)(state, begin, end)
     except (ConvergenceError, RuntimeError, FloatingPointError) as trouble:
         raise NutrientFailed(
             f"{name} failed on {who} at t = {begin:.6g} s: {trouble}",

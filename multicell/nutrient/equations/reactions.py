@@ -98,7 +98,7 @@ class Reactions:
         if before is None:
             c = settle_fields(coupled, np.maximum(first, 0.0))
         else:
-            c = coupled.step(self._flat(before), first, dt)
+            c = coupled.implicit_euler(self._flat(before), first, dt)
             if float(c.max()) > MAX_CONCENTRATION:
                 names = ", ".join(each.name for each in self.substances)
                 problem = f"one of {names} became denser than water"
@@ -124,7 +124,7 @@ class Reactions:
         c = self._flat(nodes)
         with contextlib.suppress(StepRefused):
             coupled = Coupled(self.substances, self.kinetics, self.tissue, begin)
-            c = coupled.step(c, c, end - begin)
+            c = coupled.implicit_euler(c, c, end - begin)
         return np.asarray(c.max(axis=1))
 
     def _flat(self, nodes: Nodes) -> FloatArray:

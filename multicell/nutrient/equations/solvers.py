@@ -160,7 +160,7 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         if self.scales is not None:
             scale = np.maximum(scale, self.scales)
 
-        def step(c: FloatArray, dt: float, time: float) -> Any:
+        def implicit(c: FloatArray, dt: float, time: float) -> Any:
             return pde.implicit_step(c, dt, min(time, last))
 
         length, info = end - begin, self.info
@@ -178,9 +178,9 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
                 )
             t = begin + elapsed
             try:
-                full, once = step(c, dt, t + dt)
-                middle, first = step(c, 0.5 * dt, t + 0.5 * dt)
-                halves, second = step(middle, 0.5 * dt, t + dt)
+                full, once = implicit(c, dt, t + dt)
+                middle, first = implicit(c, 0.5 * dt, t + 0.5 * dt)
+                halves, second = implicit(middle, 0.5 * dt, t + dt)
             except StepRefused:
                 info["rejections"] += 1
                 dt *= _REFUSED

@@ -82,7 +82,7 @@ class Coupled:
         faces = np.array([op.brought().ravel() for op in self.operators])
         return np.asarray(faces + self.supplies)
 
-    def step(self, before: FloatArray, start: FloatArray, dt: float) -> FloatArray:
+    def implicit_euler(self, before: FloatArray, start: FloatArray, dt: float) -> FloatArray:
         """Return the state a step of ``dt`` s later, or the steady state where that is infinite.
 
         - ``before``, ``start``, (m, nodes), mM: state before, not negative, and first guess
@@ -92,7 +92,7 @@ class Coupled:
     def _balance(
         self, c: FloatArray, sources: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return ∂c/∂t, slopes of all sinks (m, nodes), and what reactions make with its slope."""
+        """Return ∂c/∂t, slopes of all sinks (m, nodes), and rates of reactions and slopes."""
         made, slope = self.kinetics.evaluate(c, self.tissue)
         out, sinks = np.empty_like(c), np.empty_like(c)
         for i, op in enumerate(self.operators):
@@ -243,7 +243,7 @@ def settle_fields(coupled: Coupled, c: FloatArray, most: int = 200) -> FloatArra
     dt = 0.1 / quick if quick > 0.0 else math.inf
     for _ in range(most):
         try:
-            after = coupled.step(c, c, dt)
+            after = coupled.implicit_euler(c, c, dt)
         except StepRefused:
             dt *= 0.1
             continue

@@ -131,7 +131,7 @@ def react(
     out: FloatArray,
     slope: FloatArray,
 ) -> None:
-    """Write what reactions make of each field (mM/s) and the derivative of that (1/s).
+    """Write the gain of each field by reactions (mM/s) and its derivative (1/s).
 
     - ``rate``, (r,): of each reaction, mM^(1 - n)/s or mM/s
     - ``place``, (r,): 0 everywhere, 1 in proportion to tissue, 2 to what is none

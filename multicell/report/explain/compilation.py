@@ -5,6 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from multicell.host.closed import may_be_on_disk
+
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
@@ -34,13 +36,22 @@ LISTS_FROM: Final = 1000.0  # cells from which on lists are repaired, and that i
 
 def missing_parts(scene: Scene) -> dict[str, float]:
     """Return the parts without code on disk, and the seconds that each is expected to take."""
-    from multicell.compiling.numba_068 import is_on_disk
-
     found = {}
     for part, (module, kernel, seconds) in _LANDMARKS.items():
         if part == "fields" and not scene.nutrients:
             continue
-        known = getattr(import_module(f"multicell.{module}"), kernel)
-        if not is_on_disk(known):
+        if not _is_compiled(module, kernel):
             found[part] = seconds
     return found
+
+
+def _is_compiled(module: str, kernel: str) -> bool:
+    """Return whether there is code of a kernel on disk; where there is no file numba is not asked.
+
+    To load it takes as long as all else before a first run speaks.
+    """
+    if not may_be_on_disk(module, kernel):
+        return False
+    from multicell.compiling.numba_068 import is_on_disk
+
+    return is_on_disk(getattr(import_module(f"multicell.{module}"), kernel))

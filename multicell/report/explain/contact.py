@@ -12,7 +12,13 @@ from multicell.scene.packing import collapse_notes, strongest_attraction
 from multicell.scene.pairs import drag, explicit_limit, type_pairs
 from multicell.scene.parts import Motility
 from multicell.scene.scene import Scene
-from multicell.scene.sizes import birth_radius, brownian_paths, typical_radius
+from multicell.scene.sizes import (
+    birth_radius,
+    brownian_paths,
+    mean_scale,
+    radius_scales,
+    typical_radius,
+)
 
 
 def contact_parts(scene: Scene) -> list[ExplainedPart]:
@@ -74,6 +80,7 @@ def contact_numbers(scene: Scene) -> list[Number]:
     meaning = "as at birth: no cell grows" if fixed else "half-way between birth and division"
     numbers = [
         Number("birth radius", birth_radius(scene), "um", "of half the division volume"),
+        *_sizes(scene),
         Number("typical radius", radius, "um", meaning),
         Number("drag", drag(scene, radius), "nN s/um", "6 pi eta r of a typical cell"),
     ]
@@ -84,6 +91,18 @@ def contact_numbers(scene: Scene) -> list[Number]:
     meaning = "for two fresh daughters alone; several times less in tissue"
     numbers.append(Number("explicit step limit", explicit_limit(scene), "s", meaning))
     return [*numbers, *_packing(scene), *_motility(scene), *_pull(scene)]
+
+
+def _sizes(scene: Scene) -> list[Number]:
+    """Return the birth radius of each type, where they differ."""
+    scales = radius_scales(scene)
+    if len(set(scales)) == 1:
+        return []
+    newborn = birth_radius(scene) / mean_scale(scene)
+    return [
+        Number(pair_label("birth radius", name), newborn * scale, "um", "of cells of this type")
+        for name, scale in zip(scene.types, scales, strict=True)
+    ]
 
 
 def contact_notes(scene: Scene) -> Iterator[str]:
@@ -156,7 +175,7 @@ def _motility(scene: Scene) -> list[Number]:
     own = []
     if (paths := brownian_paths(scene)) is not None:
         meaning = "for which a force of diffusion is constant"
-        own = [Number("internal step of diffusion", paths.step, "s", meaning)]
+        own = [Number("internal step of diffusion", paths.dt, "s", meaning)]
     if not law.pushes:
         return own
     speed = law.force / drag(scene, typical_radius(scene))

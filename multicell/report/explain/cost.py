@@ -84,12 +84,12 @@ def predict(scene: Scene) -> Prediction:
     frames = min(math.ceil(end / scene.output.every), steps) + 1.0
     cells = _mean(found, found.cells)
     seconds, memory, file = _fields(scene, found, steps, frames)
-    step, cell = cost_of_step(scene)
+    alone, cell = cost_of_step(scene)
     return Prediction(
         course=found,
         seconds=_START
         + _CELL_START * scene.initial.count
-        + steps * (step + cell * cells)
+        + steps * (alone + cell * cells)
         + seconds,
         memory=_PROCESS + _CELL * float(found.cells.max()) + memory,
         file=_FILE + _STEP_ROW * steps + _CELL_FRAME * frames * cells + file,
@@ -114,12 +114,12 @@ def evaluations(scene: Scene) -> float:
     more where the tolerance is tight (their order is two); where that is many, stabilised and
     implicit ones take over. Fixed steps are counted.
     """
-    options, step = scene.integrator, scene.coupling_step
+    options, coupling_step = scene.integrator, scene.coupling_step
     fixed = {m.info.name: m for m in (Euler, Heun, RungeKutta4)}
     if options.method in fixed:
-        return len(fixed[options.method].tableau.b) * step / options.step
+        return len(fixed[options.method].tableau.b) * coupling_step / options.step
     limit = explicit_limit(scene)
-    ratio, tight = step / limit, math.sqrt(max(MethodInfo.atol / options.tolerance, 0.1))
+    ratio, tight = coupling_step / limit, math.sqrt(max(MethodInfo.atol / options.tolerance, 0.1))
     return max(8.0, min(2.0 * tight * ratio, 40.0 * tight + ratio, 1000.0 * tight))
 
 

@@ -5,7 +5,7 @@ solved along the radius, steady, with the uptake of living cells; living cells g
 fed, the starved die, and dead ones take room in the middle until they are removed. Where pressure
 holds back growth it is the one that drives the tissue outwards against the drag of its cells. Left
 out are walls, motion, whatever is not round, irradiation, repair of damage, and responses of single
-types or to what cells themselves are.
+types or to what cells themselves are. Thresholds are those of the most numerous type.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from multicell.cells import SPHERE, FloatArray
 from multicell.scene.dependences import circles, solving_order
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.pairs import drag
+from multicell.scene.responses import type_thresholds, usual_type
 from multicell.scene.scales import layer_height
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius, typical_radius
@@ -106,7 +107,12 @@ class _Tissue:
         around = circles(scene.nutrients, scene.reactions, scene.responses).values()
         self._circular = any(len(group) > 1 for group in around)
         self._fields = {
-            name: Profile(scene.nutrients[name], self._dimensions, layer_height(scene, name))
+            name: Profile(
+                scene.nutrients[name],
+                self._dimensions,
+                layer_height(scene, name),
+                type_thresholds(scene, name, "quiescence").get(usual_type(scene.types)),
+            )
             for name in (
                 solving_order(scene.nutrients, scene.reactions, scene.responses) if needed else ()
             )
@@ -170,7 +176,7 @@ class _Tissue:
         growth = growth_factor(self._plan, levels, np.zeros(SHELLS))
         hazard = self._hazard(levels)
         for name, field in self._fields.items():
-            growth *= _active(field.nutrient, levels[name])
+            growth *= _active(field.resting, levels[name])
         if scene.energy is not None and scene.energy.quiescence is not None:
             resting = scene.energy.supply(scene.nutrients, levels) < scene.energy.quiescence
             growth[resting] = 0.0
@@ -242,19 +248,24 @@ def _effective_fields(scene: Scene) -> set[str]:
     return needed
 
 
-def _active(field: Nutrient, level: FloatArray) -> FloatArray:
-    """Return where cells do not rest: one, and zero below quiescence."""
-    if field.quiescence is None:
-        return np.ones(len(level))
-    return (level >= field.quiescence).astype(np.float64)
+def _active(resting: float | None, level: FloatArray) -> FloatArray:
+    """Return where cells do not rest: one, and zero below the threshold of quiescence."""
+    return np.ones(len(level)) if resting is None else (level >= resting).astype(np.float64)
 
 
 @final
 class Profile:
     """A steady field along the radius, in shells of living tissue round a core without uptake."""
 
-    def __init__(self, nutrient: Nutrient, dimensions: int, height: float = 1.0) -> None:
+    def __init__(
+        self,
+        nutrient: Nutrient,
+        dimensions: int,
+        height: float = 1.0,
+        resting: float | None = None,
+    ) -> None:
         self.nutrient = nutrient
+        self.resting = resting  # threshold of quiescence, mM
         self._height = height  # of the layer in a plane, µm
         self._dimensions = dimensions
         self._last = np.full(SHELLS, nutrient.highest)
@@ -308,7 +319,7 @@ class Profile:
             level = 0.5 * (level + new)
             if change <= _FIELD_TOLERANCE * max(medium, 1e-30):
                 break
-        self._last, self._active = level, _active(field, level)
+        self._last, self._active = level, _active(self.resting, level)
         self._spend(4.0 * math.pi * surface * (medium - level[-1]), end - begin)
         return level
 

@@ -13,7 +13,7 @@ from multicell.scene.dependences import solving_order
 from multicell.scene.field_solvers import expected_step
 from multicell.scene.nutrient import OWN_SOLVERS, Nutrient
 from multicell.scene.reactions import Reaction, group_of
-from multicell.scene.responses import relevant_fields
+from multicell.scene.responses import relevant_fields, type_thresholds
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import typical_radius
 
@@ -103,9 +103,9 @@ def _geometry(scene: Scene, nutrient: Nutrient, spacing: float) -> str:
     if scene.box is not None:
         lengths = box.sides(scene.box)
         counts = box.filling(lengths, spacing) or ()
-        step = lengths[0] / counts[0] if counts else spacing
+        edge = lengths[0] / counts[0] if counts else spacing
         kind = "squares" if scene.dimensions == 2 else "cubes"
-        words = f"{' x '.join(map(str, counts))} {kind} of {step:g} um that stand still"
+        words = f"{' x '.join(map(str, counts))} {kind} of {edge:g} um that stand still"
         finer = box.finer(lengths, spacing)
         return f"{words} on the domain" + (f" ({finer})" if finer else "")
     if scene.dimensions == 2:
@@ -187,7 +187,8 @@ def nutrient_notes(scene: Scene) -> list[str]:
     """Return remarks on settings of fields that are allowed but may not be meant."""
     notes = []
     for name, nutrient in scene.nutrients.items():
-        if nutrient.quiescence is not None and nutrient.highest < nutrient.quiescence:
+        rests = type_thresholds(scene, name, "quiescence")
+        if nutrient.highest < min(rests.values(), default=0.0):
             notes.append(f"The medium has too little {name} for growth: all cells are quiescent.")
         if name not in relevant_fields(scene):
             hint = "give thresholds such as quiescence, or a response to it"

@@ -26,15 +26,16 @@ _SIZES: Final = (100, 1000, 10_000, 100_000)  # cells of the tiles
 
 def stiffness_of(scene: Scene) -> tuple[float, float]:
     """Return the estimates of λΔt for tissue at rest and just after a division; 0 without one."""
-    radius, step = typical_radius(scene), scene.coupling_step
+    radius, dt = typical_radius(scene), scene.coupling_step
     resting = max(
-        pair.stiffness(pair.equilibrium_overlap()) for _, pair in type_pairs(scene, radius)
+        pair.stiffness(pair.equilibrium_overlap()) / (pair.rest / (2.0 * radius))
+        for _, pair in type_pairs(scene, radius)
     )
-    rest = _LATTICE[scene.dimensions] * float(resting) / drag(scene, radius) * step
+    rest = _LATTICE[scene.dimensions] * float(resting) / drag(scene, radius) * dt
     if scene.growth is None:
         return rest, 0.0
     young = daughters_stiffness(scene) / drag(scene, birth_radius(scene))
-    return rest, max(rest, _DAUGHTERS * float(young) * step)
+    return rest, max(rest, _DAUGHTERS * float(young) * dt)
 
 
 def stiffness_numbers(scene: Scene) -> list[Number]:

@@ -65,8 +65,8 @@ def cielab(colour: str, *, deuteranope: bool = False) -> FloatArray:
     if deuteranope:
         linear = np.clip(_DEUTERANOPE @ linear, 0.0, 1.0)
     ratio = _XYZ @ linear / _XYZ.sum(axis=1)
-    step = 6.0 / 29.0
-    x, y, z = np.where(ratio > step**3, np.cbrt(ratio), ratio / (3.0 * step**2) + 4.0 / 29.0)
+    delta = 6.0 / 29.0
+    x, y, z = np.where(ratio > delta**3, np.cbrt(ratio), ratio / (3.0 * delta**2) + 4.0 / 29.0)
     return np.array([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)])
 
 

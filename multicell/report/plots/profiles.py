@@ -12,6 +12,7 @@ from multicell.population.extents import centre, distances, uniform_radius
 from multicell.report.plots import style
 from multicell.results.frame import Frame
 from multicell.results.observables import RadialProfile, field_profile, means, radial_profile
+from multicell.scene.responses import shared_threshold
 from multicell.scene.scene import Scene
 
 
@@ -72,11 +73,10 @@ def _draw_field(axes: Axes, frame: Frame, profile: RadialProfile, name: str, sce
         axes.plot(middles[filled], found[filled], color=style.BLUE, lw=2, alpha=0.6, label="field")
         top = max(top, float(found[filled].max(initial=0.0)))
     axes.plot(profile.middles, values, "o", color=style.BLUE, ms=6, label="at the cells", zorder=4)
-    field = scene.nutrients[name]
-    for meaning, level, dashes in ("rest", field.quiescence, "-"), ("die", field.necrosis, "--"):
+    for key, dashes in ("quiescence", "-"), ("necrosis", "--"):
+        level = shared_threshold(scene, name, key)
         if level is not None and 0.0 < level < 1.1 * top:  # within the axis
-            label = f"below: cells {meaning}"
-            axes.axhline(level, color=style.RED, lw=1.4, ls=dashes, label=label)
+            axes.axhline(level, color=style.RED, lw=1.4, ls=dashes, label=f"below: {key}")
     axes.set(title=style.type_label(name).capitalize(), ylabel="mM")
     axes.set_ylim(0.0, 1.4 * top if top > 0.0 else 1.0)  # room for the legend
 

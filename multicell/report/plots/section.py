@@ -29,7 +29,7 @@ from multicell.report.plots.colouring import SCALE, Colouring
 from multicell.report.plots.dark import GROUND
 from multicell.report.wording import cell_count
 from multicell.results.frame import Field, Frame
-from multicell.scene.nutrient import Nutrient
+from multicell.scene.responses import shared_threshold
 from multicell.scene.scene import Scene
 from multicell.units import to_base
 
@@ -150,7 +150,7 @@ def section(
     name = next((name for name in scene.nutrients if name in fields), "")
     if shade.title in ("state", "type"):
         dead = draw_necrotic(axes, frame.cells, place, level) if fields else False
-        _draw_behind(figure, axes, fields.get(name), level, scene.nutrients.get(name), dead)
+        _draw_behind(figure, axes, fields.get(name), level, scene, dead)
     scale_bar(axes, middle, half)
     explain_colours(figure, shade, "Cells in this section" if dimensions == 3 else "Cells", inside)
     return figure
@@ -188,11 +188,12 @@ def field_maps(frame: Frame, scene: Scene) -> Figure:
         frame_window(axes, middle, half)
         axes.grid(False)
         nutrient, field = scene.nutrients[name], frame.fields[name]
+        resting = shared_threshold(scene, name, "quiescence")
         # of a finite medium what was left
         ledger = {} if frame.progress is None else frame.progress.ledger.get(name, {})
         medium = float(ledger.get("level", nutrient.medium(frame.time)))
         viridis = mpl.colormaps["viridis"]
-        shades, _ = draw_field(axes, field, float(middle[2]), nutrient, medium, None, viridis)
+        shades, _ = draw_field(axes, field, float(middle[2]), resting, medium, None, viridis)
         if nutrient.necrosis is not None:
             draw_necrotic(axes, cells, cells.position, float(middle[2]))
         scale_bar(axes, middle, half, edge=1.5)
@@ -289,7 +290,7 @@ def draw_field(
     axes: Axes,
     field: Field,
     z: float,
-    nutrient: Nutrient,
+    resting: float | None,
     medium: float,
     low: float | None,
     colours: Colormap,
@@ -298,6 +299,7 @@ def draw_field(
 
     There is no line at the threshold of necrosis: see :func:`necrotic_share`.
 
+    - ``resting``: threshold of quiescence that all cells have, mM, or None
     - ``medium``: concentration around the grid, mM
     - ``low``: where the colours begin, mM; None for the lowest value
 
@@ -323,7 +325,6 @@ def draw_field(
         interpolation="bilinear",
     )
     axes.axis(window)
-    resting = nutrient.quiescence
     if resting is None or not plane.min() < resting < plane.max():
         return shades, None
     line: dict[str, Any] = {"levels": [resting], "zorder": 3}
@@ -356,10 +357,10 @@ def necrotic_share(
         return None
     width = _SMOOTHING * float(cells.radius.mean())
     low, high = place[:, :2].min(axis=0) - 2.0 * width, place[:, :2].max(axis=0) + 2.0 * width
-    step = max(width / _FINE, float((high - low).max()) / _MAX_POINTS)
-    edges = [np.arange(a, b + step, step) for a, b in zip(low, high, strict=True)]
+    pixel = max(width / _FINE, float((high - low).max()) / _MAX_POINTS)
+    edges = [np.arange(a, b + pixel, pixel) for a, b in zip(low, high, strict=True)]
     weight = np.exp(-0.5 * ((place[:, 2] - level) / width) ** 2)
-    smooth: Any = partial(gaussian_filter, sigma=width / step, mode="constant", truncate=8.0)
+    smooth: Any = partial(gaussian_filter, sigma=width / pixel, mode="constant", truncate=8.0)
     flat = place[:, 0], place[:, 1], edges
     whole, part = (smooth(np.histogram2d(*flat, weights=w)[0]) for w in (weight, weight * dead))
     known = whole > _MIN_DENSITY * whole.max()
@@ -382,7 +383,7 @@ def draw_necrotic(axes: Axes, cells: Cells, place: FloatArray, level: float) -> 
 
 
 def _draw_behind(
-    figure: Figure, axes: Axes, field: Field | None, z: float, nutrient: Nutrient | None, dead: bool
+    figure: Figure, axes: Axes, field: Field | None, z: float, scene: Scene, dead: bool
 ) -> None:
     """Draw a field behind the cells of a section, and explain its shades and all lines.
 
@@ -390,16 +391,18 @@ def _draw_behind(
     """
     line: dict[str, Any] = {"color": style.RED, "lw": 1.8}
     handles = [Line2D([], [], ls="--", label=LABEL, **line)] if dead else []
+    nutrient = None if field is None else scene.nutrients.get(field.name)
     if (
         field is not None
         and nutrient is not None
         and max(field.values.max(), nutrient.boundary) > _MIN_LEVEL * nutrient.highest
     ):
-        shades, resting = draw_field(axes, field, z, nutrient, nutrient.boundary, 0.0, _WATER)
+        own = shared_threshold(scene, field.name, "quiescence")
+        shades, resting = draw_field(axes, field, z, own, nutrient.boundary, 0.0, _WATER)
         bar = _draw_bar(figure, shades, f"{field.name.capitalize()} ({field.unit})", 0.27)
         if resting is not None:
             bar.ax.axhline(resting, **line)
-            label = f"below {resting:.3g}: cells are quiescent"
+            label = f"below {resting:.3g}: quiescence"
             handles.insert(0, Line2D([], [], label=label, **line))
     if handles:
         figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.713, 0.25))

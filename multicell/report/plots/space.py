@@ -147,20 +147,20 @@ def _draw(
     direction it comes from; between the depths ``middle`` and ``front`` what is nearer is brighter.
     """
     high, wide = depth.shape
-    step = 2.0 * half_wide / wide
+    pixel = 2.0 * half_wide / wide
     for i in range(len(radius)):
         r = radius[i]
         near = min(1.0, max(0.0, (seen[i, 2] - middle) / max(front - middle, 1e-9)))
         far = 0.72 + 0.28 * near
-        left = max(0, int((seen[i, 0] - r + half_wide) / step))
-        right = min(wide - 1, int((seen[i, 0] + r + half_wide) / step))
-        first = max(0, int((half_high - seen[i, 1] - r) / step))
-        last = min(high - 1, int((half_high - seen[i, 1] + r) / step))
+        left = max(0, int((seen[i, 0] - r + half_wide) / pixel))
+        right = min(wide - 1, int((seen[i, 0] + r + half_wide) / pixel))
+        first = max(0, int((half_high - seen[i, 1] - r) / pixel))
+        last = min(high - 1, int((half_high - seen[i, 1] + r) / pixel))
         for row in range(first, last + 1):
-            y = half_high - (row + 0.5) * step
+            y = half_high - (row + 0.5) * pixel
             v = (y - seen[i, 1]) / r
             for column in range(left, right + 1):
-                x = (column + 0.5) * step - half_wide
+                x = (column + 0.5) * pixel - half_wide
                 u = (x - seen[i, 0]) / r
                 out2 = u * u + v * v
                 if out2 >= 1.0:

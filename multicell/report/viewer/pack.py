@@ -354,10 +354,10 @@ def _curves(result: Result, frames: Sequence[Frame]) -> tuple[dict[str, Any], li
     frame shows, and others evenly spaced. A frame of a step that the history lacks has None.
     """
     history = result.history
-    time, step = (history.get(name, np.empty(0)) for name in ("time", "step"))
+    time, indices = (history.get(name, np.empty(0)) for name in ("time", "step"))
     if len(time) == 0:
         return {"times": [], "curves": [], "end": 0.0, "end_label": ""}, [None] * len(frames)
-    of_step = {int(s): row for row, s in enumerate(step)}
+    of_step = {int(s): row for row, s in enumerate(indices)}
     own = [of_step.get(frame.step) for frame in frames]
     even = np.rint(np.linspace(0, len(time) - 1, POINTS)).astype(int).tolist()
     rows = sorted({*even, *(row for row in own if row is not None)})
