@@ -33,6 +33,12 @@ _CLOSED: Final = 1.5
 """Least reach over the radius of a cell: gaps in tissue are no medium, however thin the layer."""
 
 _BINS: Final = 4_000_000  # at most, by which cells inside the tissue are left out
+_BIN: Final = 2.5  # edge of a bin in radii of cells: in dense tissue few are empty
+_COVERS: Final = 0.42
+"""Largest edge of a bin over how far cells reach: so near ones cover each other's balls."""
+
+_COARSE: Final = 4.0  # least reach in spacings at which every second node is near enough
+_MANY: Final = 100_000  # rows of nodes, about, that cells reach before less is worth it
 
 
 def exchange_beyond(
@@ -48,19 +54,63 @@ def exchange_beyond(
     if tissue is not position:
         reach = reach - lengths(position - tissue)
         tissue, reach = tissue[reach > 0.0], reach[reach > 0.0]
-    flat = box.height is not None
-    nx, ny, nz = box.shape
-    # one node more at each end, beyond the faces
-    distance = np.full((nx + 2, ny + 2, nz if flat else nz + 2), np.float32(np.inf))
+    flat, out = box.height is not None, np.empty(box.shape)
+    if len(tissue) == 0:
+        out.fill(HELD_RATE)
+        return out
     first = np.array(box.origin) - 0.5 * box.spacing
-    first[2] = 0.0 if flat else first[2]
-    points = (tissue - first) / box.spacing
-    points[:, 2] *= not flat
-    rows = _outer(points[:, : 2 if flat else 3], reach / box.spacing)
-    _stamp(points[rows], reach[rows] / box.spacing, distance)
-    out = np.empty(box.shape)
+    if flat:
+        tissue, first[2] = tissue * [1.0, 1.0, 0.0], 0.0
+    # one node more at each end, beyond the faces
+    counts = [n + 2 for n in box.shape[:2]] + [1 if flat else box.shape[2] + 2]
+    few = len(tissue) * (float(reach.max()) / box.spacing) ** 2 <= _MANY
+    width = _BIN * float(radius.mean())
+    exposed = np.full(len(tissue), 255, np.uint8) if few else _exposed(tissue, reach, width)
+    distance = _distances(tissue, reach, exposed, first, box.spacing, counts)
     _exchange(distance, _beyond(distance), flat, out)
     return out
+
+
+def _distances(
+    position: FloatArray,
+    reach: FloatArray,
+    exposed: NDArray[np.uint8],
+    first: FloatArray,
+    spacing: float,
+    counts: list[int],
+) -> NDArray[np.float32]:
+    """Return the distance of nodes from the balls' surfaces in spacings, negative inside.
+
+    Where many cells reach many nodes they are found at every second node along each axis, and are
+    means of these between, where a surface is smooth at the scale of nodes.
+    """
+    most = float(reach.max()) / spacing
+    many = np.count_nonzero(exposed) * most**2 > max(_MANY, math.prod(counts))
+    step = 2 if most >= _COARSE and many else 1
+    coarse = [1 if n == 1 else (n - 1) // step + 2 for n in counts]
+    square = np.full(coarse, np.float32(np.inf))
+    # two nodes that are diagonally across lie on either side of one that is a spacing beyond
+    beyond = 1.001 if step == 1 else 1.4
+    _stamp(position, reach, exposed, first, 1.0 / (step * spacing), beyond, square)
+    found = np.sqrt(square, out=square)
+    found -= np.float32(most / step)
+    if step == 2:
+        found *= np.float32(step)
+        for axis in range(found.ndim):
+            if counts[axis] > 1:
+                found = _with_middles(found, axis)
+    nx, ny, nz = counts
+    return np.ascontiguousarray(found[:nx, :ny, :nz])
+
+
+def _with_middles(values: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
+    """Return values with the means of neighbours between them along an axis."""
+    values = np.moveaxis(values, axis, 0)
+    out = np.empty((2 * len(values) - 1, *values.shape[1:]), np.float32)
+    out[::2] = values
+    np.add(values[1:], values[:-1], out=out[1::2])
+    out[1::2] *= np.float32(0.5)
+    return np.moveaxis(out, 0, axis)
 
 
 def mean_end(position: FloatArray, radius: FloatArray, margin: float) -> float:
@@ -101,77 +151,111 @@ def _reach_along(directions: Any, position: Any, reach: Any, found: Any) -> None
         least = np.min(found)
 
 
-def _outer(points: FloatArray, reach: FloatArray) -> NDArray[np.int64]:
-    """Return the cells that may reach farthest: all but those with others on every side.
+def _exposed(position: FloatArray, reach: FloatArray, width: float) -> NDArray[np.uint8]:
+    """Return the octants of cells' balls that others need not cover, a bit for each, (n,).
 
-    A cell is inside where all bins round its own hold cells, in two lattices of bins half as wide
-    as cells reach. Its ball is then covered by theirs.
+    - ``width``, µm: of bins, which cells are sorted into
+
+    Where bins towards an octant hold cells that reach as far as any, these cover that part of a
+    ball, but for what is as near to the cell as they are.
     """
-    if len(points) == 0:
-        return np.zeros(0, dtype=np.int64)
-    low, high = (x[: points.shape[1]] for x in corners(np.resize(points.T, (3, len(points))).T))
-    width = 0.5 * float(reach.max())
-    whole = reach >= reach.max() * (1.0 - 1e-12)
-    if float(np.prod((high - low) / width + 4.0)) > _BINS or not whole.all():
-        return np.arange(len(points))
-    outer = np.zeros(len(points), dtype=np.bool_)
-    for shift in (1.0, 1.5):
-        bins = ((points - low) * (1.0 / width) + shift).astype(np.int64)
-        filled = np.zeros(bins.max(axis=0) + 2, dtype=np.bool_)
-        place = tuple(bins.T)
-        filled[place] = True
-        for axis in range(filled.ndim):
-            line = np.moveaxis(filled, axis, 0)
-            inner = line.copy()
-            inner[1:] &= line[:-1]
-            inner[:-1] &= line[1:]
-            filled = np.moveaxis(inner, 0, axis)
-        outer |= ~filled[place]
-    return np.flatnonzero(outer)
-
-
-@_inner
-def _ends(middle: float, far: float, count: int) -> Any:
-    """Return the first node within ``far`` of a place along an axis, and the one after the last."""
-    return max(int(np.ceil(middle - far)), 0), min(int(np.floor(middle + far)) + 1, count)
+    out = np.full(len(position), 255, dtype=np.uint8)
+    low, high = corners(position)
+    width = min(width, _COVERS * float(reach.max()))
+    counts = ((high - low) / width).astype(np.int64) + 4
+    if math.prod(counts.tolist()) <= _BINS:
+        out[:] = 0
+        for shift in (1.0, 1.5):  # in one lattice cells beyond may be hardly farther out
+            origin = low - shift * width
+            _expose(position, reach, origin, 1.0 / width, np.zeros(counts, np.uint8), out)
+    return out
 
 
 @_jit
-def _stamp(points: Any, reach: Any, distance: Any) -> None:
-    """Write the distance of nodes from the balls' surfaces, negative inside, up to one spacing.
+def _expose(position: Any, reach: Any, origin: Any, scale: float, filled: Any, out: Any) -> None:
+    """Add the octants of cells' balls that have bins without cells; ``filled`` are the bins.
 
-    Most balls have one size: of these squared distances from the middles are compared.
+    Bits of octants count up along z, y and x. A plane has one bin along z, which covers both ways.
     """
-    nx, ny, nz = distance.shape
-    most = np.max(reach) if reach.size > 0 else 0.0
-    square, size = np.empty(nz, np.float32), np.float32(most)
-    for turn in range(2):
-        for cell in range(points.shape[0]):
-            if (reach[cell] == most) != (turn == 0):
+    nx, ny, nz = filled.shape
+    places = np.empty((out.size, 3), np.int32)
+    whole, flat = np.max(reach) * (1.0 - 1e-12), True
+    for cell in range(out.size):
+        for axis in range(3):
+            places[cell, axis] = int((position[cell, axis] - origin[axis]) * scale)
+        flat = flat and position[cell, 2] == position[0, 2]
+        if reach[cell] >= whole:
+            filled[places[cell, 0], places[cell, 1], places[cell, 2]] = 1
+    found = np.zeros((nx, ny, nz), np.uint8)
+    for i in range(1, nx - 1):
+        for j in range(1, ny - 1):
+            for k in range(1, nz - 1):
+                bits = 0
+                for octant in range(8):
+                    a, b = 2 * (octant // 4) - 1, 2 * (octant // 2 % 2) - 1
+                    c = 0 if flat else 2 * (octant % 2) - 1
+                    near = filled[i + a, j, k] & filled[i, j + b, k] & filled[i, j, k + c]
+                    near &= filled[i + a, j + b, k] & filled[i, j + b, k + c]
+                    near &= filled[i + a, j, k + c] & filled[i + a, j + b, k + c]
+                    if not near:
+                        bits |= 1 << octant
+                found[i, j, k] = bits
+    for cell in range(out.size):
+        out[cell] |= found[places[cell, 0], places[cell, 1], places[cell, 2]]
+
+
+@_inner
+def _ends(middle: float, far: float, count: int, low: bool, high: bool) -> Any:
+    """Return the first node within ``far`` of a place along an axis, and the one after the last.
+
+    Without ``low``, ``high`` those below it, above it are left out.
+    """
+    first = np.ceil(middle - far) if low else np.floor(middle)
+    last = np.floor(middle + far) if high else np.ceil(middle)
+    return max(int(first), 0), min(int(last) + 1, count)
+
+
+@_jit
+def _stamp(
+    position: Any, reach: Any, exposed: Any, first: Any, scale: float, beyond: float, square: Any
+) -> None:
+    """Write the squared distances of nodes from cells, as far as ``beyond`` the surfaces of balls.
+
+    ``first`` is the first node, 1 / ``scale`` their distance. Cells that reach less far than others
+    count as farther away by as much.
+    """
+    nx, ny, nz = square.shape
+    most = np.max(reach) * scale
+    along = np.empty(nz, np.float32)
+    for cell in range(reach.size):
+        if exposed[cell] == 0:
+            continue
+        x, y = (position[cell, 0] - first[0]) * scale, (position[cell, 1] - first[1]) * scale
+        z, own = (position[cell, 2] - first[2]) * scale, reach[cell] * scale
+        less, bits, far = np.float32(most - own), int(exposed[cell]), own + beyond
+        k0, k1 = _ends(z, far, nz, True, True)
+        for k in range(k0, k1):
+            along[k] = (k - z) ** 2
+        for quarter in range(4):
+            ways = bits >> (2 * quarter) & 3
+            if ways == 0:
                 continue
-            x, y, z, far = points[cell, 0], points[cell, 1], points[cell, 2], reach[cell] + 1.001
-            i0, i1 = _ends(x, far, nx)
-            j0, j1 = _ends(y, far, ny)
-            k0, k1 = _ends(z, far, nz)
-            for k in range(k0, k1):
-                square[k] = (k - z) ** 2
-            along, own = square[k0:k1], np.float32(reach[cell])
+            i0, i1 = _ends(x, far, nx, quarter < 2, quarter >= 2)
+            j0, j1 = _ends(y, far, ny, quarter % 2 == 0, quarter % 2 == 1)
+            k0, k1 = _ends(z, far, nz, ways != 2, ways != 1)
+            rest = along[k0:k1]
             for i in range(i0, i1):
                 for j in range(j0, j1):
                     away = np.float32((i - x) ** 2 + (j - y) ** 2)
                     if away > far * far:
                         continue
-                    row = distance[i, j, k0:k1]
-                    if turn == 0:
+                    row = square[i, j, k0:k1]
+                    if less == 0.0:
                         for k in range(row.size):
-                            row[k] = min(row[k], away + along[k])
+                            row[k] = min(row[k], away + rest[k])
                     else:
                         for k in range(row.size):
-                            row[k] = min(row[k], np.sqrt(away + along[k]) - own)
-        if turn == 0:
-            found = distance.reshape(-1)
-            for n in range(found.size):
-                found[n] = np.sqrt(found[n]) - size
+                            row[k] = min(row[k], (np.sqrt(away + rest[k]) + less) ** 2)
 
 
 @_jit

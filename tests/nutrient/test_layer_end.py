@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy import ndimage, spatial, special
+from synthetic import cells_at
 
 import multicell as mc
 from multicell.nutrient.balance import BALANCE_COLUMNS
@@ -10,11 +11,10 @@ from multicell.nutrient.cartesian import Box
 from multicell.nutrient.equations.outside import bring
 from multicell.nutrient.field import NutrientField
 from multicell.nutrient.fitness import _direction_notes
-from multicell.nutrient.layer import exchange_beyond, mean_end
+from multicell.nutrient.layer import _distances, _exposed, exchange_beyond, mean_end
 from multicell.nutrient.parameters import FieldParameters
 from multicell.scene.field_solvers import HELD_RATE, expected_step
 from multicell.scene.nutrient import Nutrient
-from tests.helpers.synthetic import cells_at
 
 D, MARGIN, LEVEL = 2000.0, 50.0, 0.05
 
@@ -45,11 +45,14 @@ def directions(position, radius):
     return outer & (unit.max(axis=1) > 0.96), outer & (np.sort(unit, axis=1)[:, 1] > 0.5)
 
 
-@pytest.mark.parametrize("order", ["first", "zeroth"])
-def test_a_consuming_ball_in_its_layer(order):
+@pytest.mark.parametrize(
+    ("order", "radius", "apart"),
+    [("first", 120.0, 14.0), ("zeroth", 120.0, 14.0), ("first", 240.0, 8.4)],
+    ids=["first", "zeroth", "first-100000-cells"],
+)
+def test_a_consuming_ball_in_its_layer(order, radius, apart):
     """Both uptakes against closed forms: at the surface, along axes and along diagonals, to 1 %."""
-    radius = 120.0
-    position, volume = packed(radius)
+    position, volume = packed(radius, apart)
     end = mean_end(position, np.full(len(position), 8.0), MARGIN)
     assert end == pytest.approx(radius + MARGIN, abs=6.0)
     gap = 1.0 / radius - 1.0 / end
@@ -133,6 +136,29 @@ def test_nodes_beyond_the_layer_and_none_in_a_hollow():
     near = ndimage.binary_dilation(medium) & ~medium
     assert (found[near] >= 0.0).all()
     assert (found[~near & ~medium] == 0.0).all()
+
+
+@pytest.mark.parametrize(("apart", "mean", "most"), [(14.0, 1e-5, 1e-4), (7.0, 0.3, 3.0)])
+def test_distances_from_the_nearest_cell(apart, mean, most):
+    """Exact for few cells; for many by every second node, in µm. Strayed cells reach less far."""
+    position, _ = packed(120.0, apart)
+    random, spacing, reach = np.random.default_rng(2), 10.0, 50.0
+    own = np.full(len(position), reach)
+    own[random.integers(0, len(own), 20)] -= random.uniform(0.0, 40.0, 20)
+    first, counts = np.full(3, -190.0), [39, 39, 39]
+    exposed = _exposed(position, own, 2.5 * 0.6 * apart)
+    found = _distances(position, own, exposed, first, spacing, counts) * spacing
+    axis = first[0] + spacing * np.arange(39)
+    nodes = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
+    whole = own == reach
+    true = spatial.cKDTree(position[whole]).query(nodes)[0] - reach
+    for place, size in zip(position[~whole], own[~whole], strict=True):
+        true = np.minimum(true, np.sqrt(((nodes - place) ** 2).sum(axis=-1)) - size)
+    error = (found - true)[np.abs(true) < spacing]
+    assert len(error) > 2000
+    assert abs(error.mean()) < mean
+    assert np.abs(error).max() < most
+    assert apart > 10.0 or np.count_nonzero(exposed) < 0.7 * len(position)
 
 
 def test_the_end_moves_with_the_tissue_without_jumps():
