@@ -138,8 +138,10 @@ def test_nodes_beyond_the_layer_and_none_in_a_hollow():
     assert (found[~near & ~medium] == 0.0).all()
 
 
-@pytest.mark.parametrize(("apart", "mean", "most"), [(14.0, 1e-5, 1e-4), (7.0, 0.3, 3.0)])
-def test_distances_from_the_nearest_cell(apart, mean, most):
+@pytest.mark.parametrize(
+    ("apart", "mean", "most", "part"), [(14.0, 1e-5, 1e-4, 1.0), (7.0, 0.3, 3.0, 0.7)]
+)
+def test_distances_from_the_nearest_cell(apart, mean, most, part):
     """Exact for few cells; for many by every second node, in µm. Strayed cells reach less far."""
     position, _ = packed(120.0, apart)
     random, spacing, reach = np.random.default_rng(2), 10.0, 50.0
@@ -158,7 +160,7 @@ def test_distances_from_the_nearest_cell(apart, mean, most):
     assert len(error) > 2000
     assert abs(error.mean()) < mean
     assert np.abs(error).max() < most
-    assert apart > 10.0 or np.count_nonzero(exposed) < 0.7 * len(position)
+    assert np.count_nonzero(exposed) <= part * len(position)
 
 
 def test_the_end_moves_with_the_tissue_without_jumps():
