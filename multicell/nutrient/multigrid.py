@@ -198,6 +198,7 @@ class MultigridSolver:
         self._hierarchy = Hierarchy(shape, ghost, team, varied)
         self._finest = self._hierarchy.levels[0]
         self._x, self._p, self._q = self._finest.work
+        self._q.fill(0.0)  # the first products are made of it too, before it is written
         self._r = self._finest.b
         self._parts = np.empty((2, shape[0]))
 

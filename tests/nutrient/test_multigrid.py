@@ -93,6 +93,22 @@ def test_systems_are_solved_as_by_a_direct_solver(case):
     assert 1 <= solver.cg <= 12
 
 
+def test_what_memory_held_before_warns_of_nothing(monkeypatch):
+    op = operator((8, 7, 6))
+
+    def dirty(shape, dtype=float):
+        out = np.full(shape, np.inf, dtype)
+        if out.ndim == 4:
+            out[:, ::2] *= -1.0
+        return out
+
+    monkeypatch.setattr("multicell.nutrient.multigrid.np.empty", dirty)
+    solver = MultigridSolver(op, Team())
+    with np.errstate(all="raise"):
+        found = solver.solve(np.ones(op.shape), np.ones(op.shape), 1.0, 1e-4)
+    assert np.isfinite(found).all()
+
+
 @pytest.mark.parametrize("ratio", [None, 0.1, 10.0])
 @pytest.mark.parametrize("sides", [VALUE, {"x-": VALUE, **dict.fromkeys(FACES[1:], WALL)}, SUPPLY])
 def test_a_cycle_gains_a_digit_on_any_number_of_nodes(ratio, sides):
