@@ -13,6 +13,7 @@ not by itself. A cell that fails on purpose carries the tag ``raises-exception``
 Pages load nothing from other servers; ``offline.py`` fails the build where one would.
 """
 
+import gc
 import os
 import sys
 from pathlib import Path
@@ -91,5 +92,8 @@ copybutton_exclude = ".linenos, .gp, .go"
 
 def setup(app):
     """Let pages be read in parallel: the copy of MathJax only adds files at the end."""
+    # pages are trees of objects that live until the end, through which the collector would look
+    # again and again, in each of the processes that write them too
+    gc.set_threshold(50_000, 20, 50)
     mathjax = app.extensions["sphinx-mathjax-offline"]
     mathjax.parallel_read_safe = mathjax.parallel_write_safe = True

@@ -16,6 +16,8 @@ from multicell.cells import State as State
 from multicell.comparison.network_precision import NetworkPrecision as NetworkPrecision
 from multicell.comparison.network_precision import compare_networks as compare_networks
 from multicell.comparison.result import WorkPrecision as WorkPrecision
+from multicell.comparison.stability_limits.failure_map import FailureMap as FailureMap
+from multicell.comparison.stability_limits.moving import moving_stability as moving_stability
 from multicell.comparison.stability_limits.networks import network_stability as network_stability
 from multicell.comparison.stability_limits.result import StabilityMap as StabilityMap
 from multicell.comparison.stability_limits.search import stability as stability

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import os
 import sys
@@ -19,6 +20,8 @@ def run() -> None:
     """Run the command; Ctrl-C is answered while its modules are still being loaded, too."""
     os.environ.setdefault("PYTHONSAFEPATH", "1")  # processes that this one starts
     gc.set_threshold(_RARELY, *gc.get_threshold()[1:])
+    # Python looks for cyclic garbage among all modules once more before it ends
+    atexit.register(gc.freeze)
     try:
         watch_command()
         from multicell.cli.main import main

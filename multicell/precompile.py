@@ -9,6 +9,8 @@ what is not ready in time is compiled when it is needed.
 
 from __future__ import annotations
 
+import atexit
+import gc
 import os
 import pickle
 import subprocess
@@ -240,4 +242,5 @@ def take_shares() -> None:
 
 
 if __name__ == "__main__":
+    atexit.register(gc.freeze)  # as in the command's own process
     take_shares()

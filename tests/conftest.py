@@ -7,11 +7,19 @@ import os
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 os.environ.setdefault("NUMBA_NUM_THREADS", "2")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# processes import the package that the tests import, also where the current folder has another one,
+# for which numba would compile everything once more
+os.environ["PYTHONSAFEPATH"] = "1"
 
+import gc
 import subprocess
 
 import pytest
 from hypothesis import settings
+
+# modules and tests live until the end: to look through all of them for garbage, again and again
+# while they come, takes two fifths of the time
+gc.disable()
 
 # Two workers begin at the first test, with kernels of mechanics, and at the one in the middle, with
 # those of fields, so that they seldom compile the same. No long test comes last.
@@ -74,6 +82,13 @@ def pytest_collection_modifyitems(config, items):
     items.sort(key=lambda item: order.get(item.path.parent.name, len(ROOMS)))
 
 
+def pytest_collection_finish():
+    # the collector leaves alone what is there now, and numba's types are many: it looks more seldom
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 50)
+    gc.enable()
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_cmdline_main(config):
     # each worker begins with neighbouring tests, which share fixtures and kernels
@@ -105,10 +120,10 @@ def letters_of_pages():
 
     inline = style.inline_picture
 
-    def checked(figure):
+    def checked(figure, path=None):
         size, text = smallest_letters(figure)
         assert size >= SMALLEST, f"{text!r} has {size:.2f} pt at the width of its page"
-        shown = inline(figure)
+        shown = inline(figure, path)
         size, text = smallest_letters(figure, shown.least)
         assert size + 1e-9 >= SMALLEST, f"{text!r} has {size:.2f} pt on a narrow page"
         assert shown.least <= PAGE

@@ -149,14 +149,15 @@ print(sum(doubled.stats.cache_hits.values()))
 
 def test_code_on_disk_for_a_type_that_is_gone_is_compiled_anew(tmp_path):
     """An upgrade leaves files of numba that name types of the version before it."""
-    hits = []
+    hits, cache = [], str(tmp_path / "cache")
+    environment = {**os.environ, "NUMBA_CACHE_DIR": cache, "PYTHONPATH": str(tmp_path)}
     for name in ("Earlier", "Present", "Present"):
         program = tmp_path / "kernels.py"
         program.write_text(GONE.format(name=name))
         os.utime(program, (1e9, 1e9))
         done = subprocess.run(
             [sys.executable, "-c", "import kernels"], cwd=tmp_path, capture_output=True, text=True,
-            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}, check=False,
+            env=environment, check=False,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr[-1500:]
         hits.append(int(done.stdout))

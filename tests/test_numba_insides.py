@@ -17,6 +17,7 @@ from numba.extending import overload
 import multicell.compiling  # noqa: F401 - changes numba
 
 
+@pytest.mark.slow
 def test_functions_of_numba_are_right_within_a_kernel_and_from_python():
     @njit
     def sorted_twice(values):

@@ -96,9 +96,8 @@ def test_a_frame_that_is_not_there_is_answered_with_those_that_are(result, place
 
 
 def test_errors_are_one_line_in_notebooks_and_all_of_it_when_asked(monkeypatch):
-    from IPython.core.interactiveshell import InteractiveShell
-
-    shell = InteractiveShell()
+    interactiveshell = pytest.importorskip("IPython.core.interactiveshell")
+    shell = interactiveshell.InteractiveShell()
     seen = []
     monkeypatch.setattr(shell, "_showtraceback", lambda kind, value, lines: seen.append(lines))
     shell.run_cell("import multicell as mc; mc.load_scene('spheriod')")

@@ -135,7 +135,10 @@ def spheroid(tmp_path_factory):
     return mc.run(scene, output=tmp_path_factory.mktemp("whole") / "run", report=False, threads=1)
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(case, marks=pytest.mark.slow) if "exact" in case else case for case in CASES],
+)
 def test_resumed_runs_have_the_bits_of_uninterrupted_ones(case, spheroid, tmp_path):
     name, changes = CASES[case]
     if changes is SPHEROID:

@@ -4,6 +4,7 @@ import ast
 from pathlib import Path
 from types import SimpleNamespace
 
+import notebook_runner
 import pytest
 
 TESTS = Path(__file__).parent
@@ -80,22 +81,31 @@ def test_names_of_test_files_are_given_once():
     assert len(names) == len(set(names))
 
 
+def modules(path):
+    """Return the modules that a file imports, at its head or within functions."""
+    names = []
+    for item in ast.walk(tree(path)):
+        if isinstance(item, ast.ImportFrom):
+            names.append(item.module or "")
+        elif isinstance(item, ast.Import):
+            names += [alias.name for alias in item.names]
+    return names
+
+
 def imported(path):
     """Return forbidden imports of a file: other files of tests, whose shared parts belong into
     helpers, and ``tests`` as a package, which it is only for a Python that starts in its folder."""
     tests = {path.stem for path in FILES if path.name.startswith("test_")}
-    lines = [item for item in ast.walk(tree(path)) if isinstance(item, ast.Import | ast.ImportFrom)]
-    names = [
-        name
-        for line in lines
-        for name in ([line.module or ""] if isinstance(line, ast.ImportFrom)
-                     else [alias.name for alias in line.names])
-    ]  # fmt: skip
     return [
         name
-        for name in names
+        for name in modules(path)
         if name.rpartition(".")[2] in tests or name.partition(".")[0] == "tests"
     ]
+
+
+def beyond(path, missing):
+    """Return imports of a file that fail where modules are missing; ``importorskip`` may ask."""
+    return [name for name in modules(path) if name.partition(".")[0] in missing]
 
 
 def test_no_test_file_imports_another():
@@ -109,6 +119,16 @@ def test_imports_of_test_files_are_seen(tmp_path):
         "from tests.helpers.a import b\n"
     )
     assert imported(path) == ["test_rules", "test_names", "tests.helpers.a"]
+
+
+def test_tests_run_with_what_the_readme_installs_for_them(tmp_path):
+    """An environment of developers has more: Sphinx, notebooks, linters."""
+    missing = notebook_runner.refused([".[test]"])
+    assert "pytest" not in missing
+    assert broken(lambda path: beyond(path, missing)) == {}
+    path = tmp_path / "test_more.py"
+    path.write_text("import os\ndef test():\n    from IPython.core import release\n")
+    assert beyond(path, {"IPython", "nbformat"}) == ["IPython.core"]
 
 
 def test_the_rules_see_what_breaks_them(tmp_path):

@@ -47,6 +47,7 @@ def copied(tmp_path):
     return tmp_path / "multicell", taken
 
 
+@pytest.mark.slow
 def test_an_edited_helper_of_another_file_is_compiled_anew_and_a_page_is_not(copied):
     package, taken = copied
     assert taken() == (0.5, 0)

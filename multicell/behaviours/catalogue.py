@@ -53,6 +53,8 @@ def _chance(name: str, doc: str) -> Behaviour:
     return Behaviour(name, doc, "type", "", "sum", 1.0)
 
 
+SURFACE_ENERGY: Final = "surface energy"
+
 BEHAVIOURS: Final = (
     Behaviour("growth rate", "factor on growth, and on the cycle in the phases in which it grows"),
     Behaviour("entry into", "factor on the pace of the phase before", "phase"),
@@ -70,6 +72,7 @@ BEHAVIOURS: Final = (
     Behaviour("receptors", "factor on the receptors"),
     Behaviour("ligands", "factor on the ligands"),
     Behaviour("Young's modulus", "factor on Young's modulus"),
+    Behaviour(SURFACE_ENERGY, "factor on the surface energy of a cell's contacts"),
 )
 """All behaviours."""
 
@@ -113,6 +116,8 @@ OF_NEIGHBOURS: Final = "neighbours."
 """Signals that begin so are the mean of a network's value over the neighbours that touch."""
 SUM_OF: Final = "sum of "
 """Before such a signal: the sum in place of the mean."""
+WEIGHTED: Final = "weighted "
+"""Before such signals: each neighbour counts in proportion to the area of the contact."""
 
 
 def behaviour_named(name: str, path: str) -> tuple[Behaviour, str]:
@@ -148,6 +153,11 @@ def signal_unit(name: str, fields: Iterable[str], path: str) -> str:
         return "mM"
     known = [*fields, *SIGNALS, f"{CONTACTS}TYPE", f"{PHASE}NAME"]
     raise SceneError(path, f"is {name!r}, which is no signal here", near_miss(name, known))
+
+
+def value_around(signal: str) -> str:
+    """Return the ``NETWORK.NAME`` of which a signal is the value, also in neighbours."""
+    return signal.removeprefix(WEIGHTED).removeprefix(SUM_OF).removeprefix(OF_NEIGHBOURS)
 
 
 def needs_contacts(signal: str) -> bool:

@@ -60,6 +60,10 @@ class ResponseLaw(ABC):
         """Return the smallest value of a behaviour that is ``low`` without the effect."""
         return min(low, high)
 
+    def most(self, low: float, high: float) -> float:
+        """Return the largest value of such a behaviour."""
+        return max(low, high)
+
     @property
     def reach(self) -> float:
         """Signal up to which a curve of the law is drawn."""
@@ -209,6 +213,10 @@ class TableResponse(ResponseLaw):
     def least(self, low: float, high: float) -> float:
         """Return the smallest value of the points."""
         return min(value for _, value in self.points)
+
+    def most(self, low: float, high: float) -> float:
+        """Return the largest value of the points."""
+        return max(value for _, value in self.points)
 
     @property
     def reach(self) -> float:

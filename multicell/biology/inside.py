@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 import numpy as np
 
 from multicell import random
-from multicell.behaviours.catalogue import OF_NEIGHBOURS, SUM_OF
+from multicell.behaviours.catalogue import OF_NEIGHBOURS, SUM_OF, WEIGHTED, value_around
 from multicell.biology.division import are_second
 from multicell.biology.waiting import SINCE
 from multicell.cells import HALF, Cells, FloatArray, IntArray, Mask, Signals
@@ -54,6 +54,7 @@ cells."""
 
 _MOST_PIECES: Final = 16  # of a step, for inputs that do not go straight
 
+FindPairs = Callable[[bool], tuple[IntArray, FloatArray]]
 FindSignals = Callable[[Cells], Signals]
 """Returns signals at the cells: fields in mM, and others."""
 
@@ -272,24 +273,24 @@ class Networks:
         return frozenset(x for part in parts for x in (part.part.inputs or {}).values())
 
     def signals(
-        self, names: Collection[str], cells: Cells, time: float, pairs: Callable[[], IntArray]
+        self, names: Collection[str], cells: Cells, time: float, pairs: FindPairs
     ) -> dict[str, FloatArray]:
         """Return those of the signals that networks make, name -> (n,).
 
         - ``time``: s
-        - ``pairs``: returns the rows of the cells that touch, (m, 2)
+        - ``pairs``: returns the rows of the cells that touch, (m, 2), and their weights, (m,):
+          areas of contact if it is given True, else ones
         """
         out: dict[str, FloatArray] = {}
         if cells.inside is None:
             return out
         for signal in sorted(name for name in names if "." in name):
-            network, _, name = (
-                signal.removeprefix(SUM_OF).removeprefix(OF_NEIGHBOURS).partition(".")
-            )
+            network, _, name = value_around(signal).partition(".")
             part = self.parts[network]
             own = part.value(name, cells, time)
             if OF_NEIGHBOURS in signal:
-                own = _around(own, pairs(), mean=not signal.startswith(SUM_OF))
+                near = pairs(signal.startswith(WEIGHTED))
+                own = _around(own, *near, mean=SUM_OF not in signal)
             elif part.kinds is not None:
                 own = part.filled(own, name, cells, time)
             out[signal] = own
@@ -610,7 +611,7 @@ class Networks:
         around = {name: values[rows] for name, values in signals.items()}
 
         def find(cells: Cells) -> Signals:
-            return {**around, **self.signals(own, cells, end, lambda: np.empty((0, 2), np.int64))}
+            return {**around, **self.signals(own, cells, end, no_pairs)}
 
         daughters.inside = began.inside[began.rows_of(daughters.parent)]
         seen = {name: (times, x[:, rows]) for name, (times, x) in (courses or {}).items()}
@@ -783,17 +784,24 @@ def _binomial(total: FloatArray, z: FloatArray, second: Mask) -> FloatArray:
     return np.asarray(np.where(second, whole - first, first) + 0.5 * (total - whole))
 
 
-def _around(values: FloatArray, pairs: IntArray, *, mean: bool) -> FloatArray:
+def no_pairs(weighted: bool) -> tuple[IntArray, FloatArray]:
+    """Return that no cells touch, for :meth:`Networks.signals`."""
+    return np.empty((0, 2), np.int64), np.empty(0)
+
+
+def _around(values: FloatArray, pairs: IntArray, weights: FloatArray, *, mean: bool) -> FloatArray:
     """Return sum or mean of a value over the neighbours that have it, (n,); 0 without any."""
     first, second = np.concatenate([pairs, pairs[:, ::-1]]).T
-    has = ~np.isnan(values[second])
-    first, second = first[has], second[has]
+    weights, has = np.concatenate([weights, weights]), ~np.isnan(values[second])
+    first, second, weights = first[has], second[has], weights[has]
     order = np.lexsort((second, first))  # sums do not hang on the order of the pairs
-    total = np.bincount(first[order], values[second[order]], minlength=len(values))
+    first, second, weights = first[order], second[order], weights[order]
+    total = np.bincount(first, weights * values[second], minlength=len(values)).astype(float)
     if not mean:
-        return total.astype(float)
-    count = np.bincount(first, minlength=len(values))
-    return np.asarray(total / np.maximum(count, 1))
+        return total
+    whole = np.bincount(first, weights, minlength=len(values))
+    found = np.divide(total, whole, out=np.zeros(len(values)), where=whole > 0.0)
+    return np.asarray(found)
 
 
 def _failed(part: PlacedNetwork, failure: Any, ids: IntArray) -> StepFailed:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from multicell.behaviours.catalogue import SURFACE_ENERGY
 from multicell.biology.active_forces import diffusion_of, push
 from multicell.biology.driven import Named, prescribed
 from multicell.biology.responding import value_of
@@ -51,6 +52,7 @@ def motion_of(
     stiffness = value_of(plan, "Young's modulus", 1.0, signals, cells, early=True)
     if stiffness is not None:
         young = young * stiffness
+    sticky = value_of(plan, SURFACE_ENERGY, 1.0, signals, cells, early=True)
     return Motion(
         cells.radius,
         rate,
@@ -66,6 +68,7 @@ def motion_of(
         velocity=velocity,
         newborn=cells.age < length,
         diffusion=diffusion_of(plan, cells),
+        sticky=sticky,
     )
 
 

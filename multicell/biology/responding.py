@@ -353,7 +353,7 @@ def other_signals(
     if not counted:
         return out
     if plan.networks is not None:
-        near = partial(_touching, cells, plan.period, contacts)
+        near = partial(_weighted, cells, plan.period, contacts)
         out |= plan.networks.signals(counted, cells, time, near)
         counted = frozenset(name for name in counted if "." not in name)
         if not counted:
@@ -379,6 +379,22 @@ def other_signals(
 def _touching(cells: Cells, period: FloatArray | None, contacts: IntArray) -> IntArray:
     """Return the rows of the cells that touch, (m, 2), those that were born since too."""
     return np.concatenate([contact_rows(cells, contacts), _of_newborn(cells, period)])
+
+
+def _weighted(
+    cells: Cells, period: FloatArray | None, contacts: IntArray, weighted: bool
+) -> tuple[IntArray, FloatArray]:
+    """Return the cells that touch, (m, 2) rows, and their areas of contact, (m,) µm²; or ones.
+
+    The area is that of Hertz's contact, π r h with 1/r = 1/r_i + 1/r_j: zero where cells that
+    stick are further apart than the sum of their radii.
+    """
+    pairs = _touching(cells, period, contacts)
+    if not weighted:
+        return pairs, np.ones(len(pairs))
+    first, second = pairs[:, 0], pairs[:, 1]
+    product = cells.radius[first] * cells.radius[second]
+    return pairs, np.pi * product * _overlap(cells, first, second, period)
 
 
 def _overlap(

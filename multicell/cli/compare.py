@@ -12,7 +12,10 @@ from multicell.cli.process import complain, print_json
 from multicell.schema import separated
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from multicell.comparison.precision import Precision
+    from multicell.comparison.stability_limits.failure_map import FailureMap
     from multicell.comparison.stability_limits.result import StabilityMap
     from multicell.scene.scene import Scene
 
@@ -32,7 +35,6 @@ def _names(context: click.Context, option: click.Parameter, text: str | None) ->
 
 
 _comparing = shared.grouped(
-    shared.of_scene,
     shared.output_option("Folder for the results; it must be empty or new."),
     click.option(
         "--methods",
@@ -60,6 +62,7 @@ _comparing = shared.grouped(
 
 
 @click.command("compare")
+@shared.of_scene
 @_comparing
 @click.option(
     "--stepwise",
@@ -108,17 +111,41 @@ def compare_command(
 
 
 @click.command("stability")
+@shared.of_optional_scene
 @_comparing
+@click.option(
+    "--state",
+    "states",
+    multiple=True,
+    metavar="RUN:TIME",
+    help="Coupling step to start from, in place of a SCENE: the folder of a run, and a time in it. "
+    "May be repeated, for a map of several states.",
+)
 def stability_command(
-    scene: Scene, network: str | None, quiet: bool, as_json: bool, **options: Any
+    scene: Scene | None,
+    states: Sequence[str],
+    network: str | None,
+    quiet: bool,
+    as_json: bool,
+    **options: Any,
 ) -> None:
     """Find the largest stable step of each method on a SCENE, and how it fails beyond.
 
-    Limits are compared with theory. The cells settle first: how methods do in tissue that moves is
-    what compare --stepwise shows. Of networks, states of the run are taken as they are.
+    Limits are compared with theory; the cells settle first. With --state each method solves
+    coupling steps of runs, in which cells move, and failures are named. Of networks, states of
+    the run are taken as they are.
     """
     options["progress"] = None if quiet else complain
-    if network is None:
+    if states and (scene is not None or network is not None):
+        raise click.UsageError("--state has a run's own scene: leave out SCENE and --networks")
+    result: StabilityMap | FailureMap
+    if states:
+        from multicell.comparison.stability_limits.moving import moving_stability
+
+        result = moving_stability(states, **options)
+    elif scene is None:
+        raise click.UsageError("Missing argument 'SCENE', or --state RUN:TIME")
+    elif network is None:
         from multicell.comparison.stability_limits.search import stability as limits_of
 
         result = limits_of(scene, **options)
@@ -130,7 +157,7 @@ def stability_command(
 
 
 def _show(
-    result: Precision | StabilityMap,
+    result: Precision | StabilityMap | FailureMap,
     output: Path,
     quiet: bool,
     as_json: bool,

@@ -303,6 +303,24 @@ def of_scene(command: Callable[..., Any]) -> Callable[..., Any]:
     return decorated
 
 
+def of_optional_scene(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command the scene as :func:`of_scene` does, or None where there is no SCENE."""
+
+    @click.argument("scene", required=False, **offering(known_scenes))
+    @law_option
+    @changes_option
+    @wraps(command)
+    def called(
+        scene: str | None, laws: Sequence[str], changes: Sequence[str], **options: Any
+    ) -> Any:
+        if scene is None and (laws or changes):
+            raise click.UsageError("--law and --set belong to a SCENE")
+        return command(None if scene is None else scene_of(scene, changes, laws), **options)
+
+    decorated: Callable[..., Any] = called
+    return decorated
+
+
 def name_laws(specs: Sequence[str]) -> dict[str, str]:
     """Load laws and networks of the user's own; return the keys that take them, and their names.
 

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from multicell.compiling.calls import address_of, call_at, called_at, kind_of
+from multicell.compiling.calls import (
+    address_of,
+    call_at,
+    called_at,
+    called_with_rows,
+    floats_at,
+    kind_of,
+)
 from multicell.compiling.listeners import COMPILATION
 from multicell.compiling.options import (
     ADDRESSED,
@@ -25,6 +32,8 @@ __all__ = [
     "arithmetic",
     "call_at",
     "called_at",
+    "called_with_rows",
+    "floats_at",
     "kind_of",
     "typed",
 ]

@@ -10,7 +10,7 @@ from inspect import Parameter, Signature
 from typing import Any
 
 import numpy as np
-from numba import typeof, types
+from numba import TypingError, typeof, types
 from numba.extending import intrinsic
 
 from multicell.compiling.numba_068 import cgutils
@@ -82,7 +82,54 @@ def called_at(count: int, result: Any) -> Any:
     def call(context: Any, *given: Any) -> tuple[Any, Any]:
         return call_at(result(*given), *given)
 
+    return _intrinsic_of(call, count)
+
+
+def called_with_rows(count: int, rows: int) -> Any:
+    """Return an intrinsic that calls a function of a float and rows of floats at an address.
+
+    The function gets where the first float of each row is: numba would hand over seven numbers for
+    an array. It returns a float.
+
+    - ``count``: arguments of the call, address not counted; ``rows``: of the function, which finds
+      zeros for those that the call lacks
+    """
+
+    def call(context: Any, *given: Any) -> tuple[Any, Any]:
+        own = [kind for kind in given if isinstance(kind, types.Array)]
+        if any(kind.layout != "C" or kind.dtype != types.float64 for kind in own):
+            raise TypingError(f"rows of floats must be contiguous, and are {own}")
+        time = [] if len(own) == count else [types.float64]
+        places = [types.intp] * rows
+        _, generate = call_at(types.float64, given[0], types.float64, *places)
+
+        def with_places(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            zero = context.get_constant(types.intp, 0)
+            now = values[1] if time else context.get_constant(types.float64, 0.0)
+            pairs = list(zip(own, values[-len(own) :], strict=True))
+            first = [context.make_array(k)(context, builder, v).data for k, v in pairs]
+            first = [builder.ptrtoint(one, zero.type) for one in first]
+            first += [zero] * (rows - len(first))
+            return generate(context, builder, signature, [values[0], now, *first])
+
+        return types.float64(given[0], *time, *own), with_places
+
+    return _intrinsic_of(call, count)
+
+
+def _intrinsic_of(call: Any, count: int) -> Any:
     # numba packs what has no names of its own into a tuple
     names = [Parameter(f"_{k}", Parameter.POSITIONAL_OR_KEYWORD) for k in range(count + 2)]
-    call.__signature__ = Signature(names)  # type: ignore[attr-defined]
+    call.__signature__ = Signature(names)
     return intrinsic(call)
+
+
+@intrinsic
+def floats_at(context: Any, place: Any) -> tuple[Any, Any]:
+    """Return a pointer to floats of which the first is at a place in memory."""
+    pointer = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        return builder.inttoptr(values[0], context.get_value_type(pointer))
+
+    return pointer(types.intp), generate

@@ -19,9 +19,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multicell.contact.constants import constants_of, further_arguments
-from multicell.contact.derived import Scalar, force_alone, whole_law, with_arguments, without_energy
+from multicell.contact.derived import (
+    Scalar,
+    force_alone,
+    rest_search,
+    whole_law,
+    with_arguments,
+    without_energy,
+)
 from multicell.contact.law import PairLaw
 from multicell.contact.registry import CONTACT_LAWS
+from multicell.contact.scaled import ScaledAttraction
 from multicell.errors import SceneError
 from multicell.plugins.fingerprints import helpers_of
 from multicell.plugins.laws import OwnLaw
@@ -48,6 +56,7 @@ class UserLaw(OwnLaw, PairLaw):
     _type_of_constants: ClassVar[Any]
     _reach: ClassVar[Scalar | None]
     _asks_rest: ClassVar[bool]
+    _rest_overlap: ClassVar[Scalar]
     _parts: ClassVar[Mapping[str, Scalar]]
     scales: ClassVar[bool] = False
 
@@ -104,6 +113,10 @@ class UserLaw(OwnLaw, PairLaw):
     def constants(self) -> Any:
         """Return the parameters as the law's function takes them."""
         return self._type_of_constants(*(float(getattr(self, name)) for name in specs(self)))
+
+    def scaled_by_pairs(self) -> ScaledAttraction | None:
+        """Return a law whose attraction is in proportion to a factor of each pair of types."""
+        return None if self.is_sticky else ScaledAttraction(self, self._rest_overlap)
 
     @property
     def needs_rest(self) -> bool:
@@ -206,6 +219,7 @@ def pair_law(
         own = {
             "_type_of_constants": constants,
             "_reach": None if reach is None else staticmethod(reach),
+            "_rest_overlap": staticmethod(rest_search(push, reach)),
             "_parts": {name: part for name, part in parts.items() if part is not None},
             "_asks_rest": reach is not None or "rest" in further_arguments(force),
         }

@@ -18,6 +18,7 @@ _STEP = 1e-5
 """Step of the difference quotient of a force, in radii r_ij: truncation and rounding about even."""
 _AGREED = 1e-13  # difference of two integrals of a panel over that of |F| over all
 _TRIED = 500  # panels after which a force is taken to be no smoother than its rounding
+_BISECTIONS = 60  # narrow any overlap to rounding
 _NARROWEST = 1e-12
 """Panel over the whole, or over where that begins: its points differ by more than rounding."""
 # Gauss-Legendre nodes of an interval: exact for polynomials of degree 15
@@ -92,6 +93,23 @@ def whole_law(
         return push, slope, work
 
     return law
+
+
+def rest_search(force: Scalar, reach: Scalar | None) -> Scalar:
+    """Return the function of the overlap at rest below one at which a law repels, by bisection."""
+    begin_of = _begin_of(reach)
+
+    def at_rest(overlap, modulus, radius, p, rest):  # type: ignore[no-untyped-def]
+        low, high = begin_of(modulus, radius, rest, p), overlap
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (low + high)
+            if force(middle, modulus, radius, p, rest, 0.0) > 0.0:
+                high = middle
+            else:
+                low = middle
+        return low
+
+    return at_rest
 
 
 def _difference(force: Scalar, begin_of: Scalar) -> Scalar:

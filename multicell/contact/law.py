@@ -26,6 +26,7 @@ from multicell.schema import specs
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
+    from multicell.contact.scaled import ScaledAttraction
     from multicell.scene.scene import Scene
 
 
@@ -76,11 +77,21 @@ class PairLaw(ABC):
         """Whether it has a surface energy, which may differ between the types of cells."""
         return "surface_energy" in specs(self)
 
-    def with_surface_energy(self, surface_energy: float) -> Self:
-        """Return the law with another surface energy, nN/µm; itself if it has none."""
+    def for_pair(self, entry: float) -> Self:
+        """Return the law of two types by their entry in a table: a surface energy, nN/µm.
+
+        A law without a surface energy is returned as it is.
+        """
         if not self.is_sticky:
             return self
-        return replace(self, surface_energy=surface_energy)  # type: ignore[type-var]
+        return replace(self, surface_energy=entry)  # type: ignore[type-var]
+
+    def scaled_by_pairs(self) -> ScaledAttraction | None:
+        """Return a law whose attraction is in proportion to a factor of each pair of types.
+
+        None for a law that has a surface energy to scale, and for one that never attracts.
+        """
+        return None
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ``SceneError`` where parameters of the law contradict other parts of a scene."""

@@ -31,6 +31,7 @@ from numpy.typing import ArrayLike
 
 from multicell.contact.constants import TINY, constants_of
 from multicell.contact.law import PairLaw
+from multicell.contact.scaled import ScaledAttraction
 from multicell.schema import number, parameters, quantity, specs
 
 if TYPE_CHECKING:
@@ -83,6 +84,11 @@ def generalised_linear(
     return -mu * rest * rise, mu / gap, energy
 
 
+def _at_rest(overlap: float, modulus: float, radius: float, p: Any, rest: float) -> float:
+    """Return the overlap at rest: springs rest at s."""
+    return 0.0
+
+
 def _stiffness() -> Any:
     return quantity("nN/um", default=1.0, above=0.0, doc="Spring stiffness μ at rest")
 
@@ -112,6 +118,10 @@ class Spring(PairLaw):
             f"{type(self).__name__}: a spring of {self.stiffness_at_rest:g} nN/um whatever Young's "
             f"modulus, up to {self.cutoff:g} times the sum of the radii"
         )
+
+    def scaled_by_pairs(self) -> ScaledAttraction | None:
+        """Return a law whose attraction is in proportion to a factor of each pair of types."""
+        return None if self.cutoff == 1.0 else ScaledAttraction(self, _at_rest)
 
     def equilibrium_overlap(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
         """Return zero: the pair rests at s (µm)."""

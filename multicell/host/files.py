@@ -47,6 +47,14 @@ def read_regular(path: Path, largest: int) -> bytes:
     return content
 
 
+OTHER_FILE: Final = "is not the file that the scene was made with"
+
+
+def other_file(path: str) -> SceneError:
+    """Return an error: the digest of a file is not the one that the scene states."""
+    return SceneError("file", f"'{path}' {OTHER_FILE}", "Leave sha256 out to take it as it is now.")
+
+
 def name_beside(file: str, folder: Path) -> str:
     """Return how a file in a folder names another one: by its name alone if it is there too."""
     place, name = os.path.split(file)

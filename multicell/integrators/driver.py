@@ -39,7 +39,7 @@ _TOLERANCE_HINT = "Choose a shorter coupling_step, or the method 'cvode'"
 def needs_python(system: Mechanics) -> bool:
     """Return whether each evaluation must go through Python.
 
-    Exact JKR and surface energies between types keep values for each pair, which are made
+    Exact JKR and surface energies that differ between cells keep values for each pair, made
     in Python with each neighbour list, friction solves a linear system, and walls, prescribed
     motion, resistance to compression and space that repeats are parts that scenes without them do
     not load. The loops

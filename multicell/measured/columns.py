@@ -177,6 +177,8 @@ def _column(title: str, scene: Scene, table: str, before: Sequence[DataColumn]) 
     place = f"{table}, '{title}'"
     name, unit = split_title(title)
     name = _known_name(name, scene)
+    if not unit:
+        name, unit = _parted(name, scene)
     if not name:
         raise DataError(place, "is a column without a name")
     if title.endswith("/"):
@@ -220,6 +222,17 @@ def _known_name(name: str, scene: Scene) -> str:
             stem, kind = plain.removesuffix(f" {word}"), f" {_WORDS.get(word, word)}"
     stem = "diameter" if stem in _SIZES else stem.replace(" ", "_")
     return f"{stem}{kind}" if stem in known else name
+
+
+def _parted(name: str, scene: Scene) -> tuple[str, str]:
+    """Return name and unit of a title as multicell's own tables have them: ``diameter_um``."""
+    known = {"time": "s", "start": "s", "depth": "um", **depth_fields(scene)}
+    known |= in_history(scene) | at_the_end(scene)
+    for stem, base in () if name in known else known.items():
+        unit = name.removeprefix(f"{stem}_")
+        if base and unit != name and unit_factor(unit.replace("_per_", "/"), base) is not None:
+            return stem, unit.replace("_per_", "/")
+    return name, ""
 
 
 def _measured(

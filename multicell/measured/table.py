@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, pairwise
 from pathlib import Path
@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import DataError
-from multicell.tables.columns import Table, field_text, read_object, refuse_twins
+from multicell.tables.columns import Table, field_text, read_object
 from multicell.tables.forms import FORM
 from multicell.tables.mapping import (
     ColumnMap,
+    column_source,
     like,
     mapped,
     parse_map,
@@ -34,6 +35,8 @@ _ELAPSED: Final = ("Date Time", "Elapsed")
 _OF_ROWS: Final = ("time", "start", "depth", "specimen", "label", "day", "days", "hour", "hours")
 """Names that say where a row belongs, and nothing that was measured."""
 _ERRORS: Final = re.compile(r"(?i)std\.? *(err|dev)")
+_CLOCK: Final = re.compile(r"(\d+):([0-5]?\d)(?::([0-5]?\d(?:\.\d*)?))?")
+"""A time as on a clock that does not begin again after a day: ``26:30:00``."""
 
 
 def read_measurements(
@@ -61,7 +64,8 @@ def read_measurements(
     if not names.columns and table.titles[:2] == _ELAPSED:
         table, names = _incucyte(table, above)
     if names.columns:
-        return _mapped(table, names)
+        return _in_hours(_mapped(table, names))
+    table = _in_hours(table)
     used = {like(title) for title in chosen}
     kept = [k for k, title in enumerate(table.titles) if like(title) not in used]
     return table if len(kept) == len(table.titles) else _some_columns(table, kept)
@@ -93,7 +97,11 @@ def _without_index(table: Table) -> Table:
     for place, title in enumerate(table.titles):
         fields = [row[place] for row in table.rows]
         numbers = [number for field in fields if (number := whole_number(field)) is not None]
-        counts = len(numbers) == len(fields) and all(b == a + 1 for a, b in pairwise(numbers))
+        counts = (
+            place == 0
+            and len(numbers) == len(fields)
+            and all(b == a + 1 for a, b in pairwise(numbers))
+        )
         if title or not (counts or not any(fields)):
             kept.append(place)
     return table if len(kept) == len(table.titles) else _some_columns(table, kept)
@@ -108,14 +116,49 @@ def _some_columns(table: Table, places: Sequence[int]) -> Table:
 
 
 def _columns(table: Table) -> dict[str, NDArray[Any]]:
-    """Return the columns of a table as text."""
-    refuse_twins(table.titles, table.name)
+    """Return the columns of a table as text.
+
+    Replicates below one heading get numbers: ``Control``, ``Control (2)``, and so on.
+    """
     fields = np.array(table.rows, dtype=object).reshape(len(table.rows), len(table.titles))
-    return {title: fields[:, k] for k, title in enumerate(table.titles)}
+    found: dict[str, NDArray[Any]] = {}
+    heading, last = "", 1
+    for k, title in enumerate(table.titles):
+        heading, last = title or heading, last if not title or title == heading else 1
+        name = title or heading
+        while name in found:
+            last += 1
+            name = f"{heading} ({last})"
+        found[name] = fields[:, k]
+    return found
+
+
+def _refuse_one_of_several(table: Table, titles: Iterable[str]) -> None:
+    """Refuse the title of several columns where one is meant."""
+    for title in titles:
+        place = table.titles.index(title) if title in table.titles else len(table.titles)
+        if title in table.titles[place + 1 :] or (title and table.titles[place + 1 :][:1] == ("",)):
+            hint = f"Replicates side by side are named in one: '\"{title}*\" um'."
+            raise DataError(f"{table.name}, '{title}'", "is the title of several columns", hint)
+
+
+def _in_hours(table: Table) -> Table:
+    """Return a table with hours in place of times as on a clock."""
+    titles, rows = list(table.titles), [list(row) for row in table.rows]
+    for place, title in enumerate(titles):
+        times = [_CLOCK.fullmatch(row[place]) for row in rows if row[place]]
+        if title.lower() in ("time", "start") and times and all(times):
+            titles[place] = f"{title} / h"
+            for row in rows:
+                if (time := _CLOCK.fullmatch(row[place])) is not None:
+                    hours, minutes, seconds = (float(part or 0.0) for part in time.groups())
+                    row[place] = repr(hours + minutes / 60.0 + seconds / 3600.0)
+    return replace(table, titles=tuple(titles), rows=tuple(map(tuple, rows)))
 
 
 def _rows(table: Table, where: Mapping[str, str]) -> Table:
     """Return the rows that have certain values."""
+    _refuse_one_of_several(table, where)
     chosen = rows_where(_columns(table), where, table.name)
     rows = tuple(row for row, there in zip(table.rows, chosen, strict=True) if there)
     places = tuple(p for p, there in zip(table.places, chosen, strict=True) if there)
@@ -126,6 +169,9 @@ def _rows(table: Table, where: Mapping[str, str]) -> Table:
 def _mapped(table: Table, names: ColumnMap) -> Table:
     """Return the columns that are named."""
     columns = _columns(table)
+    for name, text in names.columns.items():
+        source = column_source(name, text, list(columns), table.name)
+        _refuse_one_of_several(table, () if source.wide else source.titles)
 
     def place(row: int, title: str) -> str:
         return f"{table.name}, {table.places[row]}, '{title}'"

@@ -76,6 +76,8 @@ class Motion:
       the neighbour list has room for that.
     - ``diffusion``, (n,), optional: diffusion of free cells by Brownian motion, µm²/s. Forces do
       not hold it: :meth:`part` makes one of it that is constant over an internal step.
+    - ``sticky``, (n,), optional: factor of each cell on surface energies, see
+      :func:`multicell.mechanics.pair_values.pair_data`
     """
 
     radius: FloatArray
@@ -92,11 +94,36 @@ class Motion:
     velocity: FloatArray | None = None
     newborn: NDArray[Any] | None = None
     diffusion: FloatArray | None = None
+    sticky: FloatArray | None = None
 
     @property
     def end_radius(self) -> FloatArray:
         """Radius at ``end``, (n,) µm."""
         return self.radius + self.radius_rate * (self.end - self.begin)
+
+    def between(self, begin: float, end: float, touching: NDArray[Any] | None) -> Motion:
+        """Return the motion between two times, s; beyond ``end`` all rates stay what they are.
+
+        - ``touching``: as in :class:`Motion`, at the first of the two
+        """
+        passed = begin - self.begin
+        push, bonds = self.push, self.bonds
+        if push is not None:
+            push = push.copy()
+            push[:, :3] += passed * push[:, 3:]
+        if bonds is not None:
+            bonds = bonds.copy()
+            bonds[:, :2] += passed * bonds[:, 2:]
+        return replace(
+            self,
+            radius=self.radius + passed * self.radius_rate,
+            begin=begin,
+            end=end,
+            push=push,
+            bonds=bonds,
+            touching=touching,
+            newborn=self.newborn if passed == 0.0 else None,
+        )
 
     def part(
         self, begin: float, end: float, drag: float, move: FloatArray, touching: NDArray[Any] | None
@@ -107,28 +134,12 @@ class Motion:
         - ``move``, (n, 3) µm: of free cells until ``end``, at a constant speed
         - ``touching``: as in :class:`Motion`, at ``begin``
         """
-        passed = begin - self.begin
-        radius = self.radius + passed * self.radius_rate
-        push = np.zeros((len(radius), 6)) if self.push is None else self.push.copy()
-        push[:, :3] += passed * push[:, 3:]
+        motion = self.between(begin, end, touching)
+        push = np.zeros((len(self.radius), 6)) if motion.push is None else motion.push
         speed = move / (end - begin)
-        push[:, :3] += drag * radius[:, None] * speed
+        push[:, :3] += drag * motion.radius[:, None] * speed
         push[:, 3:] += drag * self.radius_rate[:, None] * speed
-        bonds = self.bonds
-        if bonds is not None:
-            bonds = bonds.copy()
-            bonds[:, :2] += passed * bonds[:, 2:]
-        return replace(
-            self,
-            radius=radius,
-            begin=begin,
-            end=end,
-            push=push,
-            bonds=bonds,
-            touching=touching,
-            newborn=self.newborn if passed == 0.0 else None,
-            diffusion=None,
-        )
+        return replace(motion, push=push, diffusion=None)
 
     def drift(self, drag: float) -> FloatArray:
         """Return how far cells move by external forces and prescribed motion alone, (n, 3) µm.

@@ -96,8 +96,8 @@ class Mechanics:
       receptors.
     - ``friction``, (float, float): friction of touching cells per contact area, along the line of
       centres and across it, nN s/µm³; see :mod:`multicell.mechanics.friction`
-    - ``surface_energies``, (k, k), optional: symmetric matrix over the cell types, nN/µm, in place
-      of the law's surface energy
+    - ``pair_table``, (k, k), optional: symmetric matrix over the cell types of what the law takes
+      (:meth:`~multicell.contact.law.PairLaw.for_pair`): surface energies in nN/µm, or factors
     - ``walls``, optional: elastic walls that the cells press against
     - ``compression``, optional: many-body resistance to compression
     - ``period``, (3,), µm, optional: lengths after which space repeats along x, y and z; zero where
@@ -112,7 +112,7 @@ class Mechanics:
     shared_chunks: int = 8
     bond_strength: float = 0.0
     friction: tuple[float, float] = (0.0, 0.0)
-    surface_energies: FloatArray | None = None
+    pair_table: FloatArray | None = None
     walls: Walls | Sphere | None = None
     compression: TissueCompression | None = None
     period: FloatArray | None = None
@@ -201,8 +201,10 @@ class Mechanics:
         if len(radius) == 0:
             return radius
         law, softest = self.law, 0.5 / float(self._rows[:, COMPLIANCE].max())
-        if self.surface_energies is not None:
-            law = law.with_surface_energy(float(self.surface_energies.max()))
+        table, sticky = self.pair_table, self.motion.sticky
+        if table is not None or sticky is not None:
+            most = law.surface_energy if table is None else float(table.max())
+            law = law.for_pair(most * (1.0 if sticky is None else float(sticky.max())))
         return law.list_radius(radius, softest)
 
     def __len__(self) -> int:
@@ -572,7 +574,7 @@ class Mechanics:
             problem = neighbours.too_many_pairs(len(self))
             raise StateRejected(f"cells lie on top of each other ({problem})")
         self._pair_data = pair_values.pair_data(
-            pairs, self.law, self.motion, self.surface_energies, self._rows[:, COMPLIANCE]
+            pairs, self.law, self.motion, self.pair_table, self._rows[:, COMPLIANCE]
         )
         if self._period is not None:
             self._pair_data = self._pair_data._replace(period=self._period)
@@ -581,7 +583,7 @@ class Mechanics:
     @property
     def has_pair_values(self) -> bool:
         """Whether the law keeps values for each pair, which are made with each list."""
-        return pair_values.has_pair_values(self.law, self.motion, self.surface_energies)
+        return pair_values.has_pair_values(self.law, self.motion, self.pair_table)
 
     def kernel_data(self) -> tuple[Kernels, forces.PairData, bool]:
         """Return the data of the kernels, for a loop that updates the neighbour list itself.

@@ -10,14 +10,14 @@ type has no values: it takes no place among the arguments of the call.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
-from numba import njit
+from numba import carray, njit  # type: ignore[attr-defined]
 from numba.extending import overload, register_jitable
 
 from multicell.cells import IntArray
-from multicell.compiling import ADDRESSED, address_of
+from multicell.compiling import ADDRESSED, address_of, floats_at
 from multicell.errors import SceneError
 from multicell.networks.network import Network
 from multicell.plugins.fingerprints import fingerprint, helpers_of
@@ -41,69 +41,48 @@ class Addresses(NamedTuple):
     assigns: IntArray
 
 
-def network_part(code, t, y, u, p, out):
-    """Stand for a function of a network, which is selected by the type of ``code``."""
+def network_part(code, t, a, b, c, d, e):
+    """Stand for a function of a network, which is selected by the type of ``code``.
+
+    It is called with rows of floats that begin where the integers say, as long as the type says.
+    """
     raise NotImplementedError
 
 
 @overload(network_part, jit_options={"error_model": "numpy"})
-def _five(code, t, y, u, p, out):
-    function = _jitable(code)
+def _part(code, t, a, b, c, d, e):
+    name = code.instance_class.__name__
+    function = _jitable(name)
+    _, what, _, *lengths = name.split("_")
+    i, j, k, m, n = [*map(int, lengths), 0, 0][:CALLED_ROWS]
 
-    def call(code, t, y, u, p, out):
-        function(t, y, u, p, out)
+    def write(code, t, a, b, c, d, e):
+        function(t, row(a, i), row(b, j), row(c, k), row(d, m))
+        return t
 
-    return call
+    def initial(code, t, a, b, c, d, e):
+        function(row(a, i), row(b, j), row(c, k))
+        return t
 
+    def trigger(code, t, a, b, c, d, e):
+        return float(function(t, row(a, i), row(b, j), row(c, k)))
 
-def trigger_part(code, t, y, u, p):
-    """Stand for the condition of an event, which is selected by the type of ``code``."""
-    raise NotImplementedError
+    def assign(code, t, a, b, c, d, e):
+        function(t, row(a, i), row(b, j), row(c, k), row(d, m), row(e, n))
+        return t
 
-
-@overload(trigger_part, jit_options={"error_model": "numpy"})
-def _four(code, t, y, u, p):
-    function = _jitable(code)
-
-    def call(code, t, y, u, p):
-        return function(t, y, u, p)
-
-    return call
-
-
-def assign_part(code, t, y, u, p, y_then, p_then):
-    """Stand for the effect of an event, which is selected by the type of ``code``."""
-    raise NotImplementedError
+    return {"write": write, "initial": initial, "trigger": trigger, "assign": assign}[what]
 
 
-@overload(assign_part, jit_options={"error_model": "numpy"})
-def _six(code, t, y, u, p, y_then, p_then):
-    function = _jitable(code)
-
-    def call(code, t, y, u, p, y_then, p_then):
-        function(t, y, u, p, y_then, p_then)
-
-    return call
+@register_jitable
+def row(place, count):
+    """Return the row of so many floats that begins at a place in memory."""
+    return carray(floats_at(place), count)
 
 
-def initial_part(code, u, p, y):
-    """Stand for what computes a start, which is selected by the type of ``code``."""
-    raise NotImplementedError
-
-
-@overload(initial_part, jit_options={"error_model": "numpy"})
-def _three(code, u, p, y):
-    function = _jitable(code)
-
-    def call(code, u, p, y):
-        function(u, p, y)
-
-    return call
-
-
-def _jitable(code: Any) -> Callable[..., Any]:
+def _jitable(name: str) -> Callable[..., Any]:
     """Return the function that belongs to a type, ready to be compiled into another one."""
-    function = _FUNCTIONS[code.instance_class.__name__]
+    function = _FUNCTIONS[name]
     if hasattr(function, "py_func"):  # numba has it already
         return function
     for part in (*helpers_of(function), function):
@@ -112,26 +91,8 @@ def _jitable(code: Any) -> Callable[..., Any]:
 
 
 @njit(**ADDRESSED)
-def _write(code, t, y, u, p, out):
-    network_part(code, t, y, u, p, out)
-    return t
-
-
-@njit(**ADDRESSED)
-def _trigger(code, t, y, u, p):
-    return float(trigger_part(code, t, y, u, p))
-
-
-@njit(**ADDRESSED)
-def _assign(code, t, y, u, p, y_then, p_then):
-    assign_part(code, t, y, u, p, y_then, p_then)
-    return t
-
-
-@njit(**ADDRESSED)
-def _initial(code, u, p, y):
-    initial_part(code, u, p, y)
-    return 0.0
+def _driver(code, t, a, b, c, d, e):
+    return network_part(code, t, a, b, c, d, e)
 
 
 def addresses(network: Network) -> Addresses:
@@ -142,26 +103,32 @@ def addresses(network: Network) -> Addresses:
     SceneError
         If numba cannot compile one of them.
     """
-    row = np.empty(0)
-    four = 0.0, row, row, row
-    events = network.events
+    s, u, p = len(network.states), len(network.inputs), len(network.parameters)
 
-    def at(driver: Any, function: Callable[..., Any], result: Any, arguments: Any) -> int:
+    def at(what: str, function: Callable[..., Any] | None, *lengths: int) -> int:
+        if function is None:
+            return 0
+        name = "_".join(map(str, ["Network", what, fingerprint(function, modules=True), *lengths]))
+        _FUNCTIONS.setdefault(name, function)
         try:
-            return address_of(driver, result, _stand_in(function), *arguments)
+            return address_of(_driver, 0.0, _type(name)(), 0.0, *[0] * CALLED_ROWS)
         except Exception as error:
             if not type(error).__module__.startswith("numba."):
                 raise
             raise SceneError(f"networks.{network.name}", *_refusal(function, error)) from None
 
-    observe, initial = network.observe, network.initial
+    events = network.events
     return Addresses(
-        at(_write, network.rates, 0.0, (*four, row)),
-        0 if observe is None else at(_write, observe, 0.0, (*four, row)),
-        0 if initial is None else at(_initial, initial, 0.0, (row, row, row)),
-        np.array([at(_trigger, e.trigger, 0.0, four) for e in events], dtype=np.int64),
-        np.array([at(_assign, e.assign, 0.0, (*four, row, row)) for e in events], dtype=np.int64),
+        at("write", network.rates, s, u, p, s),
+        at("write", network.observe, s, u, p, len(network.observed)),
+        at("initial", network.initial, u, p, s),
+        np.array([at("trigger", e.trigger, s, u, p) for e in events], dtype=np.int64),
+        np.array([at("assign", e.assign, s, u, p, s, p) for e in events], dtype=np.int64),
     )
+
+
+CALLED_ROWS: Final = 5
+"""Rows that each function at an address is given; some of them read fewer."""
 
 
 def _refusal(function: Callable[..., Any], error: Exception) -> tuple[str, str]:
@@ -169,10 +136,3 @@ def _refusal(function: Callable[..., Any], error: Exception) -> tuple[str, str]:
     words = " ".join(str(error).split("\n\n")[0].split())[:400]
     hint = "Arithmetic on floats and arrays, math and NumPy functions are what it may use."
     return f"numba cannot compile {name!r}: {words}", hint
-
-
-def _stand_in(function: Callable[..., Any]) -> Any:
-    """Return the only value of the type that stands for a function."""
-    name = f"Network_{fingerprint(function, modules=True)}"
-    _FUNCTIONS.setdefault(name, function)
-    return _type(name)()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple, final
 
 import numpy as np
@@ -78,13 +79,15 @@ def event_memory(events, states, parameters):
 
 
 @_inner
-def any_rises(rules, here, t, y, u, was):
-    """Return whether a condition that was false is true in a state."""
+def highest_rise(rules, here, t, y, u, was):
+    """Return the largest value of conditions that were false: above 0 where one is true now."""
     set_inputs(here, t, u)
+    highest = -math.inf
     for k in range(rules.triggers.size):
-        if was[k] == 0.0 and call_trigger(rules.triggers[k], t, y, u, here.p) > 0.0:
-            return True
-    return False
+        if was[k] == 0.0:
+            value = call_trigger(rules.triggers[k], t, y, u, here.p)
+            highest = value if value > highest else highest  # not one that is no number
+    return highest
 
 
 @_inner

@@ -10,17 +10,18 @@ import math
 from typing import NamedTuple, final
 
 import numpy as np
-from numba import types
 
 from multicell.cells import FloatArray, IntArray
-from multicell.compiling import INNER, UNCOUNTED, called_at, typed
+from multicell.compiling import INNER, UNCOUNTED, called_with_rows, typed
+from multicell.networks.code import CALLED_ROWS
 from multicell.networks.methods import Explicit, LinearlyImplicit
 
 _inner = typed(**UNCOUNTED)
-call_rates = called_at(5, lambda *_: types.float64)
-call_trigger = called_at(4, lambda *_: types.float64)
-call_assign = called_at(6, lambda *_: types.float64)
-call_initial = called_at(3, lambda *_: types.float64)
+_once = typed(**UNCOUNTED, forceinline=True)  # called in one place, with more than is quick to pass
+call_rates = called_with_rows(5, CALLED_ROWS)
+call_trigger = called_with_rows(4, CALLED_ROWS)
+call_assign = called_with_rows(6, CALLED_ROWS)
+call_initial = called_with_rows(3, CALLED_ROWS)
 
 _ROUNDING = 1.5e-8  # square root of the rounding of doubles: part of a state for a difference
 
@@ -94,7 +95,7 @@ def scratch_of(states, inputs, stages):
     )
 
 
-@_inner
+@_once
 def set_inputs(here, t, u):
     """Write the inputs at a time to ``u``."""
     part = (t - here.start) * here.rate
@@ -102,7 +103,7 @@ def set_inputs(here, t, u):
         u[k] = here.before[k] + part * (here.after[k] - here.before[k])
 
 
-@_inner
+@_once
 def evaluate_network(common, here, t, y, u, out):
     """Write dy/dt to ``out``: the network's rates, less what growth dilutes."""
     set_inputs(here, t, u)
@@ -112,28 +113,37 @@ def evaluate_network(common, here, t, y, u, out):
             out[k] -= here.growth * common.diluted[k] * y[k]
 
 
-@_inner
-def set_jacobian(common, here, t, y, s):
+@_once
+def set_jacobian(common, here, t, y, s, careful):
     """Write df/dy by differences to ``s.jacobian``; ``s.f`` has the rates at ``y``.
 
     Row j has the derivatives by state j: they are written one after another, and a processor waits
     where it reads several numbers at once that were written apart a moment before.
+
+    - ``careful``: differences to both sides are compared, and the smaller one taken where a jump of
+      the rates lies within the other
     """
-    n = y.size
-    s.calls[0] += n
+    n, size = y.size, 0.0
     for j in range(n):
         s.point[j] = y[j]
     for j in range(n):
-        typical = max(abs(y[j]), common.absolute[j] / common.relative)
-        s.point[j] = y[j] + _ROUNDING * typical
-        inverse = 1.0 / (s.point[j] - y[j])
-        evaluate_network(common, here, t, s.point, s.u, s.slope)
-        for i in range(n):
-            s.jacobian[j, i] = (s.slope[i] - s.f[i]) * inverse
+        width = _ROUNDING * max(abs(y[j]), common.absolute[j] / common.relative)
+        for side in range(2 if careful else 1):
+            s.point[j] = y[j] - width if side else y[j] + width
+            inverse, found = 1.0 / (s.point[j] - y[j]), 0.0
+            evaluate_network(common, here, t, s.point, s.u, s.slope)
+            s.calls[0] += 1
+            for i in range(n):
+                s.slope[i] = (s.slope[i] - s.f[i]) * inverse
+                found += abs(s.slope[i])
+            if not side or found < 0.1 * size or (found < math.inf and not size < math.inf):
+                size = found
+                for i in range(n):
+                    s.jacobian[j, i] = s.slope[i]
         s.point[j] = y[j]
 
 
-@_inner
+@_once
 def factorise(a, pivot):
     """Replace a matrix by its factors L and U with row pivots; return whether it is regular.
 
@@ -181,7 +191,7 @@ def solve(a, pivot, b):
         b[i] = value * a[i, i]
 
 
-@_inner
+@_once
 def size_of_error(common, y, trial, error):
     """Return the largest error over its tolerance; infinite where something is not finite."""
     worst = 0.0
@@ -194,15 +204,53 @@ def size_of_error(common, y, trial, error):
     return worst
 
 
-@_inner
-def take_implicit(common, here, table: LinearlyImplicit, t, h, y, s, fresh):
+KEPT, AFRESH, CAREFUL = range(3)
+"""How a step finds the Jacobian: as it was, by differences, or by differences to both sides."""
+
+
+@_once
+def take_implicit(common, here, table: LinearlyImplicit, t, h, y, s, jacobian):
     """Write the state after a Rosenbrock step to ``s.trial``; return the size of its error.
 
-    ``s.f`` has the rates at ``y``, ``s.jacobian`` their derivative unless it is to be made afresh.
+    ``s.f`` has the rates at ``y``. A jump of the rates within the differences that a Jacobian is
+    made of gives it huge numbers, and these hold a state where it is, with no error to be seen.
+    """
+    while True:  # with one place for each call, which is then none
+        if jacobian != KEPT:
+            set_jacobian(common, here, t, y, s, jacobian == CAREFUL)
+        size = _rosenbrock(common, here, table, t, h, y, s)
+        if size > 1.0 or jacobian == CAREFUL or not _is_held(common, h, y, s):
+            return size
+        jacobian = CAREFUL
+
+
+@_once
+def _is_held(common, h, y, s):
+    """Return whether a state does not follow its rates, and the Jacobian knows no reason.
+
+    ``s.slope`` has the rates at the last stage, ``s.point`` its state.
+    """
+    n = y.size
+    for i in range(n):
+        moved = abs(s.trial[i] - y[i])
+        least = min(abs(s.f[i]), abs(s.slope[i])) if s.f[i] * s.slope[i] > 0.0 else 0.0
+        allowed = common.absolute[i] + common.relative * abs(y[i])
+        if h * least > max(allowed, 10.0 * moved):
+            foreseen = s.f[i]
+            for j in range(n):
+                foreseen += s.jacobian[j, i] * (s.point[j] - y[j])
+            if abs(foreseen - s.slope[i]) > 0.5 * least:
+                return True
+    return False
+
+
+@_once
+def _rosenbrock(common, here, table, t, h, y, s):
+    """Take a Rosenbrock step with ``s.jacobian``; return the size of its error.
+
+    ``s.slope`` has the rates at the last stage then, ``s.point`` its state.
     """
     n, per_step = y.size, 1.0 / h
-    if fresh:
-        set_jacobian(common, here, t, y, s)
     diagonal = per_step / table.gamma[0]
     for i in range(n):
         for j in range(n):
@@ -229,10 +277,12 @@ def take_implicit(common, here, table: LinearlyImplicit, t, h, y, s, fresh):
             s.calls[0] += 1
         gamma = table.gamma[stage]
         for i in range(n):
-            before = 0.0
+            before, rate = 0.0, k[i]
             for other in range(stage):
                 before += table.c[stage, other] * s.stages[other, i]
             k[i] += per_step * before + gamma * s.slope[i]
+            if stage == stages - 1:  # no later stage needs the slope in time
+                s.slope[i] = rate
         solve(s.matrix, s.pivot, k)
     # stiffly accurate: the last increment is what the embedded method, where it began, is off by
     error = s.stages[stages - 1]
@@ -255,7 +305,7 @@ def _stage_point(table, stage, y, s):
     return moved
 
 
-@_inner
+@_once
 def take_explicit(common, here, table: Explicit, t, h, y, s):
     """Write the state after an explicit step to ``s.trial``.
 
@@ -290,7 +340,7 @@ def take_explicit(common, here, table: Explicit, t, h, y, s):
     return size_of_error(common, y, s.trial, s.point), stiffness
 
 
-@_inner
+@_once
 def fastest(s, n):
     """Return a bound on the largest |λ| of the Jacobian: the lesser of two norms."""
     rows, columns = 0.0, 0.0

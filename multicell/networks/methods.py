@@ -40,13 +40,17 @@ class LinearlyImplicit(NamedTuple):
 
 @final
 class Explicit(NamedTuple):
-    """Coefficients of an explicit Runge–Kutta method; ``e`` is zero where it has no estimate."""
+    """Coefficients of an explicit Runge–Kutta method; ``e`` is zero where it has no estimate.
+
+    ``ends``: whether the rates at the result are its last stage.
+    """
 
     a: FloatArray
     b: FloatArray
     e: FloatArray
     c: FloatArray
     order: float
+    ends: bool
 
 
 def _lower(rows: Sequence[Sequence[float]]) -> FloatArray:
@@ -62,7 +66,7 @@ def _explicit(
 ) -> Explicit:
     a = _lower(rows)
     error = np.zeros(len(b)) if e is None else np.array(e)
-    return Explicit(a, np.array(b), error, a.sum(axis=1), order)
+    return Explicit(a, np.array(b), error, a.sum(axis=1), order, e is not None)
 
 
 RODAS3: Final = LinearlyImplicit(

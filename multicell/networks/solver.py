@@ -21,11 +21,13 @@ from multicell.networks.loop import (
     CELL_DONE,
     CELL_NOT_FINITE,
     CELL_OUT_OF_STEPS,
+    CELL_SLIDES,
     CELL_STALLED,
     REMEMBERED,
     WORK,
     Batch,
     LoopControl,
+    Tools,
     advance_cells,
 )
 from multicell.networks.methods import method_of
@@ -45,6 +47,8 @@ _WORDS: Final = {
     CELL_OUT_OF_STEPS: f"it takes more than {MOST_STEPS} steps",
     CELL_NOT_FINITE: "a rate or a state is no finite number",
     CASCADE: "its events set off each other without end",
+    CELL_SLIDES: "its rates jump to and fro where a condition on a state changes sides: "
+    "let them change smoothly, or by two events with different thresholds",
 }
 
 
@@ -192,17 +196,10 @@ class NetworkSolver:
         common = Common(
             self._at.rates, self.relative, self.absolute, fall, self._at.observe, observed
         )
+        method = self.method
+        tools = Tools(common, method.rosenbrock, method.explicit, self._rules, self._control)
         team = self._team.at_most(1 + count // _SHARED)
-        team.share(
-            advance_cells,
-            count,
-            common,
-            self.method.rosenbrock,
-            self.method.explicit,
-            self._rules,
-            self._control,
-            batch,
-        )
+        team.share(advance_cells, count, tools, batch)
         failed = np.flatnonzero(batch.status != CELL_DONE)
         if len(failed):
             row = int(failed[0])

@@ -149,6 +149,18 @@ class Diffusion:
         mean = float((shift - self.exchange).mean())
         return np.asarray(scale * self.invert(scale * r, mean)[0])
 
+    def to_modes(self, values: FloatArray) -> FloatArray:
+        """Return values of the nodes as parts of the Laplacian's modes, in their memory.
+
+        They are those of a uniform coefficient, with zero on the faces; the transform is
+        orthonormal.
+        """
+        return np.asarray(_transform(values, self.kinds, inverse=False))
+
+    def from_modes(self, parts: FloatArray) -> FloatArray:
+        """Return the nodes' values of parts of the modes, in their memory."""
+        return np.asarray(_transform(parts, self.kinds, inverse=True))
+
     @property
     def kinds(self) -> list[Ends]:
         """Of each axis which ends have values, the others have slopes; None where it repeats."""

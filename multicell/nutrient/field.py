@@ -14,7 +14,7 @@ from multicell.nutrient.grid import BoxLayout, Layout, ShellLayout
 from multicell.nutrient.tissue import Tissue, drawn_in, drawn_to_ball, reaching
 from multicell.nutrient.uptake import uptake
 from multicell.scene.formulas import formula_values
-from multicell.scene.oxygen import OXYGEN, check_dissolves
+from multicell.scene.oxygen import check_dissolves, is_oxygen
 
 if TYPE_CHECKING:
     from multicell.nutrient.balance import FieldExchange, WellMixed
@@ -177,15 +177,23 @@ class NutrientField:
         return np.asarray(capacity * self.layout.gather(reached, rate, extent))
 
     def first_values(self, layout: Layout, time: float) -> float | FloatArray:
-        """Return the first values on a layout, mM: of the medium, or of a formula.
+        """Return the first values on a layout, mM: of the medium, of a formula or a file.
 
         Raises NutrientFailed for values below zero or that are not finite, SceneError for more
         oxygen than water dissolves.
         """
-        formula = self.parameters.nutrient.initial_formula
-        if not formula:
+        p = self.parameters
+        formula, file = p.nutrient.initial_formula, p.nutrient.initial_file
+        if not formula and file is None:
             return self.level(time)
         assert isinstance(layout, BoxLayout)
+        if file is not None:
+            from multicell.nutrient.resampling import resampled
+
+            grid = file.grid(self.name)
+            corners = None if p.domain is None else p.domain.corners()
+            ends = file.ends(grid.ends, p.dimensions, corners)
+            return resampled(grid.values * file.scale, ends, layout.box, self.level(time))
         places = mesh(layout.box.axes())
         values = formula_values(formula, places, "initial_formula")
         wrong = np.flatnonzero(~((values >= 0.0) & (values < np.inf)))
@@ -193,7 +201,7 @@ class NutrientField:
             where = ", ".join(f"{x:g}" for x in places[wrong[0]])
             problem = f"initial_formula of {self.name} is {values[wrong[0]]:g} mM at ({where}) um"
             raise NutrientFailed(problem, "A concentration is finite and not below zero")
-        if self.name == OXYGEN:
+        if is_oxygen(self.name):
             path = f"nutrients.{self.name}.initial_formula"
             check_dissolves(float(values.max()), self.parameters.nutrient.temperature, path)
         return values.reshape(layout.shape)

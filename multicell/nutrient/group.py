@@ -114,6 +114,7 @@ class FieldGroup:
         tolerance = min(n.time_tolerance for n in nutrients)
         if self._outside is None:
             self._run("multicell-march", begin, end, tolerance=tolerance, scales=scales)
+            relaid = relaid + self.info["lifted"]
         else:
             relaid = relaid + self._bring(begin, end, tolerance)
         self.finish(end)

@@ -106,10 +106,9 @@ def script(name: str) -> dict[str, Any]:
 
 
 def _inline(path: Path, figure: Figure, caption: str) -> dict[str, Any]:
-    from multicell.report.plots.style import inline_picture, save_figure
+    from multicell.report.plots.style import inline_picture
 
-    save_figure(figure, path)
-    return {"caption": caption, "shown": inline_picture(figure)}
+    return {"caption": caption, "shown": inline_picture(figure, path)}
 
 
 def _label(key: str, path: str = "") -> str:

@@ -363,14 +363,16 @@ def recorded_scene(contents: Contents) -> Scene:
 
 def scene_of_text(text: str, path: Path) -> Scene:
     """Return the scene that frames are of, whose ``scene.toml`` is at ``path``."""
-    from multicell.host.files import parse_toml
-    from multicell.scene.networks import COPIED_NETWORK, OTHER_FILE
+    from multicell.host.files import OTHER_FILE, parse_toml
+    from multicell.scene.initial_copies import COPIED_FIELD
+    from multicell.scene.networks import COPIED_NETWORK
     from multicell.scene.scene import Scene, place_files
 
     try:
         return Scene.from_dict(place_files(parse_toml(text), path))
     except SceneError as error:
-        if not (error.path.startswith("networks.") and COPIED_NETWORK in error.problem):
+        copied = f"{COPIED_NETWORK}.", f"{COPIED_FIELD}."
+        if not (error.path.endswith(".file") and any(x in error.problem for x in copied)):
             raise
         damaged = any(words in error.problem for words in (OTHER_FILE, "UTF-8"))
         problem = f"{error.path}: {error.problem}"

@@ -19,6 +19,7 @@ from filelock import FileLock, Timeout
 from multicell import __version__
 from multicell.errors import OutputError
 from multicell.host.interrupts import UNCUT
+from multicell.scene.initial_copies import COPIED_FIELD, initial_files_copied
 from multicell.scene.networks import COPIED_NETWORK, networks_copied
 from multicell.scene.scene import Scene
 from multicell.scene.start_table import COPIES
@@ -36,7 +37,8 @@ RUN_FILES: Final = (
     "contacts.png",
     "pull.png",
 )
-"""What a run leaves in its output folder; overwriting removes it, and copies of networks."""
+"""What a run leaves in its output folder; overwriting removes it, and copies of files that a
+scene names."""
 
 PASSING: Final = ("frames.journal", "scene.toml.next")
 """Files that are there only during a run, or after it was killed or met a full disk."""
@@ -173,11 +175,11 @@ def is_begun(folder: str | Path, content: Mapping[str, bytes | str]) -> bool:
     return False
 
 
-def copied_networks(folder: Path) -> list[str]:
-    """Return the names of the copies of networks in a folder."""
+def copied_files(folder: Path) -> list[str]:
+    """Return the names of the copies of networks and of beginnings of fields in a folder."""
     with file_errors("read", folder):
         there = os.listdir(folder)
-    return [name for name in there if Path(name).stem.endswith(COPIED_NETWORK)]
+    return [name for name in there if Path(name).stem.endswith((COPIED_NETWORK, COPIED_FIELD))]
 
 
 def remove(folder: Path, names: Iterable[str]) -> None:
@@ -301,7 +303,8 @@ def to_json(value: Any) -> str:
 def with_copy(scene: Scene, folder: Path) -> Scene:
     """Return a scene that names copies of its files in a folder; they are written if not there.
 
-    Those are a table of cells and networks. A scene without them is returned as it is.
+    Those are a table of cells, networks, and what fields begin as. A scene without them is
+    returned as it is.
     """
     copied, files = copy_of(scene, folder)
     write_copies(folder, files)
@@ -325,4 +328,5 @@ def copy_of(scene: Scene, folder: Path) -> tuple[Scene, dict[str, bytes]]:
         scene = replace(scene, initial=replace(scene.initial, cells=cells))
         files[name] = content
     scene, networks = networks_copied(scene, folder)
-    return scene, {**files, **networks}
+    scene, fields = initial_files_copied(scene, folder)
+    return scene, {**files, **networks, **fields}

@@ -56,7 +56,7 @@ from multicell.results.folder import (
     LIVE,
     PASSING,
     RUN_FILES,
-    copied_networks,
+    copied_files,
     copy_of,
     file_errors,
     is_begun,
@@ -128,7 +128,7 @@ class Store:
             # what the scene names may be one of the files that are removed
             scene, kept = copy_of(scene, folder)
             write_copies(folder, kept)
-            old = (*PASSING, *LIVE, *RUN_FILES, *copied_networks(folder))
+            old = (*PASSING, *LIVE, *RUN_FILES, *copied_files(folder))
             remove(folder, (name for name in old if name not in kept))
             text = scene.to_toml(versions(), beside=folder)
             write_text(folder / "scene.toml", text)

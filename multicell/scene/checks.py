@@ -7,13 +7,14 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from multicell.cells import Phase
+from multicell.contact.law import effective_modulus
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
 from multicell.scene import domain as box
 from multicell.scene.dependences import solving_order
 from multicell.scene.field_solvers import check_solver
-from multicell.scene.nutrient import LEVELS
-from multicell.scene.oxygen import OXYGEN, check_dissolves
+from multicell.scene.nutrient import LEVELS, MAX_CONCENTRATION
+from multicell.scene.oxygen import check_dissolves, is_oxygen, most_dissolved
 from multicell.scene.reactions import groups
 from multicell.scene.scales import (
     MAX_NODES,
@@ -64,6 +65,8 @@ def check_types(scene: Scene) -> None:
             raise SceneError(path, "needs growth.volume_doubling_time", hint)
         if kind.surface_energy is not None:
             _check_energies(scene, f"types.{name}.surface_energy", kind)
+        if kind.adhesion_with:
+            _check_adhesion(scene, name, kind.adhesion_with)
         path, known = f"types.{name}.chemotaxis_of", "a field with chemotaxis"
         check_names(kind.chemotaxis_of, scene.chemotaxis, path, known)
         for key in ("uptake_of", "secretion_of"):
@@ -176,6 +179,29 @@ def _check_energies(scene: Scene, path: str, kind: CellType) -> None:
             raise SceneError(f"{path}.{other}", problem)
 
 
+def _check_adhesion(scene: Scene, name: str, factors: Mapping[str, float]) -> None:
+    """Check one row of the factors of adhesion: names, symmetry, and that the law attracts."""
+    path = f"types.{name}.adhesion_with"
+    check_names(factors, scene.types, path, "a type of this scene")
+    if any(kind.surface_energy is not None for kind in scene.types.values()):
+        hint = "Multiply surface energies by the factors."
+        raise SceneError(path, "is given, and so are surface energies of types", hint)
+    for other, factor in factors.items():
+        back = (scene.types[other].adhesion_with or {}).get(name, factor)
+        if back != factor:
+            problem = f"is {factor:g}, but types.{other}.adhesion_with.{name} is {back:g}"
+            raise SceneError(f"{path}.{other}", problem, "One of the two types may state it.")
+    law, radius = scene.contact.scaled_by_pairs(), division_radius(scene)
+    if law is not None:
+        modulus = effective_modulus(*(scene.cells.young, scene.cells.poisson) * 2)
+        problem = law.problem(float(modulus), 0.5 * radius, 2.0 * radius)
+    else:
+        problem = "" if scene.contact.surface_energy > 0.0 else "attracts nowhere"
+    if problem:
+        hint = "Adhesion of pairs is a factor of the attraction up to the overlap at rest."
+        raise SceneError(path, f"has no meaning: contact.law {problem}", hint)
+
+
 def check_phases(scene: Scene, path: str, phases: Mapping[str, float] | None) -> None:
     """Raise ``SceneError`` unless factors by phase name phases, of which the scene has some."""
     check_names(phases, Phase.__members__, path, "a phase of the cycle")
@@ -202,7 +228,7 @@ def check_nutrients(scene: Scene) -> None:
     for name, nutrient in scene.nutrients.items():
         path = f"nutrients.{name}"
         _check_names(scene, path, nutrient)
-        if name == OXYGEN:
+        if is_oxygen(name):
             _check_oxygen(path, nutrient)
         _check_spacing(scene, path, nutrient)
         _check_sides(scene, path, nutrient)
@@ -237,10 +263,16 @@ def _check_names(scene: Scene, path: str, nutrient: Nutrient) -> None:
 def _check_beginning(scene: Scene, name: str, path: str, nutrient: Nutrient) -> None:
     """Check that initial values and releases of a field have an effect."""
     given = [f"release.{key}" for key in nutrient.release]
-    given += ["initial_formula"] if nutrient.initial_formula else []
+    given += [key for key in ("initial_formula", "initial_file") if getattr(nutrient, key)]
     if given and regime(scene, name) == "steady":
         hint = "Let the field be 'transient'."
         raise SceneError(f"{path}.{given[0]}", "has no effect: the field is steady", hint)
+    if nutrient.initial_file is not None:
+        try:
+            _check_initial_file(scene, name)
+        except SceneError as error:
+            whole = f"{path}.initial_file.{error.path}"
+            raise SceneError(whole, error.problem, error.hint) from None
     for key, release in nutrient.release.items():
         if release.type:
             check_names([release.type], scene.types, f"{path}.release.{key}.type", "a type")
@@ -250,6 +282,26 @@ def _check_beginning(scene: Scene, name: str, path: str, nutrient: Nutrient) -> 
                 problem = f"is {list(release.place or ())} um, outside the domain"
                 hint = "Look at domain.x, domain.y and domain.z."
                 raise SceneError(f"{path}.release.{key}.place", problem, hint)
+
+
+def _check_initial_file(scene: Scene, name: str) -> None:
+    """Check that a file has a concentration of the field for each place of a grid."""
+    nutrient = scene.nutrients[name]
+    part = nutrient.initial_file
+    assert part is not None
+    grid = part.grid(name)
+    if part.column and grid.ends is None:
+        raise SceneError("column", "has no meaning: the file is no table", "Leave it out.")
+    if grid.values.ndim != scene.dimensions:
+        shape = " x ".join(map(str, grid.values.shape))
+        problem = f"has {shape} values, but the scene has {scene.dimensions} dimensions"
+        raise SceneError("file", problem, f"Its axes are {', '.join('xyz'[: scene.dimensions])}.")
+    most = most_dissolved(nutrient.temperature) if is_oxygen(name) else MAX_CONCENTRATION
+    largest = float(grid.values.max()) * part.scale
+    if not largest <= most:
+        problem = f"makes the file's largest value {largest:.4g} mM, must be at most {most:.4g} mM"
+        raise SceneError("scale", problem, "It is the concentration where the file has 1.")
+    part.ends(grid.ends, scene.dimensions, None if scene.box is None else scene.box.corners())
 
 
 def _check_oxygen(path: str, nutrient: Nutrient) -> None:

@@ -38,6 +38,7 @@ _SAME: Final[Mapping[str, str]] = {
     "nutrients.*.finite_medium": "volume",
     "nutrients.*.sides.*": "derivative",
     "nutrients.*.release.*": "amount place radius",
+    "nutrients.*.initial_file": "x y z",
 }
 """Keys with lengths of the tissue and of its fields, which stay."""
 

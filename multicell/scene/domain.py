@@ -13,6 +13,7 @@ import numpy as np
 
 from multicell.contact.law import compliance
 from multicell.errors import SceneError, StepFailed
+from multicell.scene.pairs import largest_adhesion
 from multicell.scene.sizes import division_radii
 
 if TYPE_CHECKING:
@@ -30,8 +31,11 @@ _WHOLE = 1e-10
 """Part of a side by which a number of whole cubes may miss it: rounding of its ends."""
 
 
-def check_domain(scene: Scene) -> None:
-    """Raise ``SceneError`` for a box that does not fit to the scene's dimensions and cells."""
+def check_domain(scene: Scene, factor: float) -> None:
+    """Raise ``SceneError`` for a box that does not fit to the scene's dimensions and cells.
+
+    - ``factor``: the largest that responses put on surface energies
+    """
     if scene.domain is None:
         return
     if scene.death is not None and scene.death.inflow:
@@ -52,16 +56,16 @@ def check_domain(scene: Scene) -> None:
             problem = f"is {ends[1] - ends[0]:g} um long, must be at least {widest:g} um"
             raise SceneError(f"domain.{axis}", problem, "A cell that divides must fit in.")
     if scene.domain.periodic:
-        _check_periodic(scene, scene.domain)
+        _check_periodic(scene, scene.domain, factor)
 
 
-def _check_periodic(scene: Scene, domain: Domain) -> None:
+def _check_periodic(scene: Scene, domain: Domain, factor: float) -> None:
     """Raise ``SceneError`` for axes too short to repeat, and for parts that need a centre."""
     for axis in domain.periodic:
         if axis not in "xyz"[: scene.dimensions]:
             raise SceneError("domain.periodic", f"has {axis}, which 2 dimensions do not have")
         low, high = getattr(domain, axis)
-        least = 2.0 * _interaction_range(scene)
+        least = 2.0 * _interaction_range(scene, factor)
         if high - low < least:
             problem = f"is {high - low:g} um long, must be at least {least:.4g} um to repeat"
             hint = "No cell may be in reach of two images of another one."
@@ -79,16 +83,14 @@ def _check_periodic(scene: Scene, domain: Domain) -> None:
         raise SceneError("compression", "is not computed between walls where space repeats", hint)
 
 
-def _interaction_range(scene: Scene) -> float:
+def _interaction_range(scene: Scene, factor: float) -> float:
     """Return the largest distance at which two cells of a scene may act on each other, µm."""
     swelling = 1.0 if scene.death is None else scene.death.swelling
     largest = division_radii(scene)[1] * swelling ** (1.0 / 3.0)
-    kinds, law = scene.types.values(), scene.contact
+    kinds = scene.types.values()
     young = min((kind.young or scene.cells.young for kind in kinds), default=scene.cells.young)
-    energies = [e for kind in kinds for e in (kind.surface_energy or {}).values()]
-    if energies:
-        law = law.with_surface_energy(max(energies))
     softest = 0.5 / float(compliance(young, scene.cells.poisson))
+    law = largest_adhesion(scene, factor)
     return 2.0 * float(law.list_radius(np.array([largest]), softest)[0])
 
 

@@ -2,7 +2,7 @@
 
 Species, parameters and rules of a network are signals: ``NETWORK.NAME``; in the neighbours that
 touch a cell they are ``neighbours.NETWORK.NAME`` (their mean) and ``sum of
-neighbours.NETWORK.NAME``.
+neighbours.NETWORK.NAME``; with ``weighted`` before it each counts by the area of its contact.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
-from multicell.behaviours.catalogue import OF_NEIGHBOURS, SUM_OF
+from multicell.behaviours.catalogue import OF_NEIGHBOURS, SUM_OF, WEIGHTED, value_around
 from multicell.errors import SceneError
+from multicell.host.files import other_file
 from multicell.scene.checks import check_kinds, check_names
 from multicell.schema import (
     Draw,
@@ -115,7 +116,7 @@ class CellNetwork:
             object.__setattr__(self, "file", path)
             digest = _digest(_text(path))
             if self.sha256 not in (None, digest):
-                raise _other_file(path)
+                raise other_file(path)
             object.__setattr__(self, "sha256", digest)
 
     @property
@@ -165,7 +166,7 @@ class _Document:
         """Return its text; raises ``SceneError`` for a file with another digest."""
         text = _text(self.path)
         if _digest(text) != self.digest:
-            raise _other_file(self.path)
+            raise other_file(self.path)
         return text
 
 
@@ -194,11 +195,6 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _other_file(path: str) -> SceneError:
-    return SceneError("file", f"'{path}' {OTHER_FILE}", "Leave sha256 out to take it as it is now.")
-
-
-OTHER_FILE: Final = "is not the file that the scene was made with"
 COPIED_NETWORK: Final = ".network"
 """In the name of the copy of a network's file in the folder of a run, ``NAME.network.ant``."""
 
@@ -299,8 +295,8 @@ def network_signals(scene: Scene) -> Iterator[str]:
 def check_network_signal(scene: Scene, name: str, path: str) -> None:
     """Raise ``SceneError`` for the signal of a network that the scene does not have."""
     known = list(network_signals(scene))
-    bare = name.removeprefix(SUM_OF).removeprefix(OF_NEIGHBOURS)
-    alone = name.startswith(SUM_OF) and OF_NEIGHBOURS not in name
+    bare = value_around(name)
+    alone = name.startswith((SUM_OF, WEIGHTED)) and OF_NEIGHBOURS not in name
     if alone or bare not in known:
         near = get_close_matches(bare, known, 1, 0.6)
         hint = f"Did you mean '{near[0]}'?" if near else near_miss(bare, known)
@@ -327,12 +323,14 @@ def check_networks(scene: Scene, check_signal: Callable[[Scene, str, str], None]
 
     - ``check_signal``: refuses what is no signal of the scene, with its path
     """
-    for name, part in scene.networks.items():
-        try:
-            _check_one(scene, part, check_signal)
-        except SceneError as error:
-            path = f"networks.{name}.{error.path}"
-            raise SceneError(path, error.problem, error.hint) from None
+    # all are read before any is checked: a signal of one may be a value of another
+    for check in (lambda part: part.model, lambda part: _check_one(scene, part, check_signal)):
+        for name, part in scene.networks.items():
+            try:
+                check(part)
+            except SceneError as error:
+                path = f"networks.{name}.{error.path}"
+                raise SceneError(path, error.problem, error.hint) from None
     network_order(scene)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from multicell.errors import SceneError
 from multicell.scene.formulas import check_formula
+from multicell.scene.initial_files import InitialFile
 from multicell.schema import (
     choice,
     number,
@@ -281,6 +282,12 @@ class Nutrient:
         doc="concentration in mM that a transient field starts from: arithmetic of x, y, z in um, "
         "as '0.1 * exp(-(x**2 + y**2) / 400)'; absent: initial says it",
     )
+    initial_file: InitialFile | None = table(
+        InitialFile,
+        default=None,
+        shorthand="file",
+        doc="values on a grid that a transient field starts from; absent: initial says it",
+    )
     release: Mapping[str, Release] = tables(Release, doc="of a transient field; absent: none")
     geometry: str | None = choice(
         ["box", "radial", "auto"],
@@ -347,11 +354,7 @@ class Nutrient:
         check_order(self.necrosis, self.quiescence, "mM", "necrosis")
         if self.initial_formula:
             check_formula(self.initial_formula, "initial_formula")
-            if self.initial != "medium":
-                raise SceneError("initial", f"is '{self.initial}', but there is an initial_formula")
-            if self.layout != "box":
-                hint = "Take geometry = 'box'."
-                raise SceneError("initial_formula", "has no meaning on shells", hint)
+        self._check_beginning()
         if self.geometry == "radial":
             for face in self.sides:
                 if face not in ("*", "r+"):
@@ -359,6 +362,16 @@ class Nutrient:
                     raise SceneError(f"sides.{face}", "does not exist on a radial grid", hint)
         elif "r+" in self.sides and self.layout == "box":
             raise SceneError("sides.r+", "does not exist on a grid of cubes", "Use 'x-' or '*'.")
+
+    def _check_beginning(self) -> None:
+        """Raise ``SceneError`` where a field starts from two things, or shells from values."""
+        given = [key for key in ("initial_formula", "initial_file") if getattr(self, key)]
+        if len(given) > 1:
+            raise SceneError(given[1], f"and {given[0]} are given both, must be one of them")
+        if given and self.initial != "medium":
+            raise SceneError("initial", f"is '{self.initial}', but there is an {given[0]}")
+        if given and self.layout != "box":
+            raise SceneError(given[0], "has no meaning on shells", "Take geometry = 'box'.")
 
     @property
     def takes_up(self) -> bool:

@@ -12,8 +12,8 @@ from multicell.scene.nutrient import Nutrient
 from multicell.schema import specs
 from multicell.units import PERCENT, oxygen_solubility, shown, to_base, vapour_pressure
 
-OXYGEN: Final = "oxygen"
-"""The field whose concentrations may be written as partial pressures."""
+_NAMES: Final = ("oxygen", "o2", "o\N{SUBSCRIPT TWO}", "po2", "dioxygen")
+"""Names of the field whose concentrations may be written as partial pressures, in any case."""
 
 HYPOXIA: Final = to_base("10 mmHg", "kPa", "hypoxia")
 """In kPa, below which pimonidazole marks cells."""
@@ -55,6 +55,7 @@ def _field(path: tuple[str | int, ...]) -> str | None:
         case (
             ("nutrients", str(field), "media", int(), 1)
             | ("nutrients", str(field), "sides", _, "value")
+            | ("nutrients", str(field), "initial_file", "scale")
             | ("nutrients", _, "uptake_on", str(field), "half")
         ):
             return field
@@ -75,13 +76,18 @@ def concentration(text: str, field: str, path: str, nutrients: Any) -> Any:
             amount = to_base(text, "kPa", path)
         except SceneError:
             return text
-    if field != OXYGEN:
+    if not is_oxygen(field):
         what = "a partial pressure" if percent is None else "a part of a gas"
-        hint = f"Only of the field named '{OXYGEN}' is known how much dissolves."
+        hint = "Only of the field named 'oxygen' (O2, pO2) is known how much dissolves."
         raise SceneError(path, f"is {shown(text)}, {what}, must be a concentration", hint)
-    temperature = _temperature(nutrients)
+    temperature = _temperature(field, nutrients)
     dry = 1.0 if percent is None else _ATMOSPHERE - vapour_pressure(temperature)
     return amount * dry * oxygen_solubility(temperature)
+
+
+def is_oxygen(name: str) -> bool:
+    """Return whether a field of this name is oxygen: how much of it dissolves is known."""
+    return name.casefold() in _NAMES
 
 
 def saturated(temperature: float) -> float:
@@ -89,12 +95,17 @@ def saturated(temperature: float) -> float:
     return (_ATMOSPHERE - vapour_pressure(temperature)) * oxygen_solubility(temperature)
 
 
-def check_dissolves(level: float, temperature: float, path: str) -> None:
-    """Raise ``SceneError`` for more oxygen, mM, than water dissolves of it pure.
+def most_dissolved(temperature: float) -> float:
+    """Return how much pure oxygen water dissolves, mM.
 
-    1 mM is allowed at any temperature: at that of the body it is what dissolves, to 0.01 %.
+    1 mM is allowed at any temperature: at that of the body it dissolves so much, to 0.01 %.
     """
-    most = max(saturated(temperature), 1.0)
+    return max(saturated(temperature), 1.0)
+
+
+def check_dissolves(level: float, temperature: float, path: str) -> None:
+    """Raise ``SceneError`` for more oxygen, mM, than water dissolves of it pure."""
+    most = most_dissolved(temperature)
     if level > most:
         problem = f"is {level:.4g} mM, but under pure oxygen water dissolves {most:.3g} mM"
         hint = f"Percentages and pressures have a unit: '{level:.4g} %', '{level:.4g} mmHg'."
@@ -104,16 +115,16 @@ def check_dissolves(level: float, temperature: float, path: str) -> None:
 def hypoxia_of(name: str, nutrients: Mapping[str, Nutrient]) -> float | None:
     """Return below which concentration of a field cells are hypoxic, mM; None if never."""
     field = nutrients[name]
-    if field.hypoxia is None and name == OXYGEN:
+    if field.hypoxia is None and is_oxygen(name):
         return HYPOXIA * oxygen_solubility(field.temperature)
     return field.hypoxia
 
 
-def _temperature(nutrients: Any) -> float:
-    """Return the temperature of the field of oxygen, °C; that of the body if there is none."""
-    table = nutrients.get(OXYGEN) if isinstance(nutrients, Mapping) else None
+def _temperature(name: str, nutrients: Any) -> float:
+    """Return the temperature of a field, °C; that of the body if there is none."""
+    table = nutrients.get(name) if isinstance(nutrients, Mapping) else None
     if isinstance(table, Nutrient):
         return table.temperature
     given = table.get("temperature", _BODY) if isinstance(table, Mapping) else _BODY
     spec = specs(Nutrient)["temperature"]
-    return float(spec.convert(given, f"nutrients.{OXYGEN}.temperature"))
+    return float(spec.convert(given, f"nutrients.{name}.temperature"))

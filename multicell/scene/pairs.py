@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import combinations_with_replacement
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,17 +15,51 @@ from multicell.contact.pair import Pair
 from multicell.scene.sizes import birth_radius, division_radius, mean_scale, radius_scales
 
 if TYPE_CHECKING:
+    from multicell.contact.law import PairLaw
     from multicell.mechanics.compression import TissueCompression
     from multicell.scene.scene import Scene
 
 
-def surface_energies(scene: Scene) -> FloatArray | None:
-    """Return the matrix of surface energies, nN/µm, in the order of the types, or None."""
-    rows = [kind.surface_energy for kind in scene.types.values()]
-    if not any(rows):
-        return None
-    names = list(scene.types)
-    return np.array([[(row or {})[name] for name in names] for row in rows])
+def law_by_types(scene: Scene) -> tuple[PairLaw, FloatArray | None]:
+    """Return the law between cells, and its entry for every two types; None where all are alike.
+
+    The entries, in the order of the types, are surface energies in nN/µm of a law that has one,
+    else factors of its attraction.
+    """
+    law, kinds = scene.contact, scene.types
+    if any(kind.surface_energy for kind in kinds.values()):
+        rows, own = [kind.surface_energy or {} for kind in kinds.values()], law.surface_energy
+        return law, np.array([[row.get(name, own) for name in kinds] for row in rows])
+    if not any(kind.adhesion_with for kind in kinds.values()):
+        return law, None
+    factors = np.array([[adhesion_with(scene, a, b) for b in kinds] for a in kinds])
+    scaled = law.scaled_by_pairs()
+    return (law, factors * law.surface_energy) if scaled is None else (scaled, factors)
+
+
+def adhesion_with(scene: Scene, a: str, b: str) -> float:
+    """Return the factor of the adhesion of two types, which one of them may state for both."""
+    one, other = (scene.types[name].adhesion_with or {} for name in (a, b))
+    return one.get(b, other.get(a, 1.0))
+
+
+def largest_energy(scene: Scene) -> float:
+    """Return the largest surface energy of a contact of a scene without responses, nN/µm."""
+    law, entries = law_by_types(scene)
+    if entries is None or not law.is_sticky:
+        return scene.contact.surface_energy
+    return float(entries.max())
+
+
+def largest_adhesion(scene: Scene, factor: float = 1.0) -> PairLaw:
+    """Return the law between the two types that stick to each other most.
+
+    - ``factor``: on surface energies, as responses may set it
+    """
+    law, entries = law_by_types(scene)
+    if entries is not None:
+        return law.for_pair(factor * float(entries.max()))
+    return law if factor == 1.0 else law.for_pair(factor * law.surface_energy)
 
 
 def compression(scene: Scene) -> TissueCompression | None:
@@ -93,11 +126,10 @@ def pair_of(
     - ``time``: time in s at which receptors and ligands are taken
     - ``young``: Young's moduli in kPa, by default the means of the types
     """
-    law: Any = scene.contact
     kinds = list(scene.types.values())
-    energies = surface_energies(scene)
-    if energies is not None:
-        law = replace(law, surface_energy=float(energies[i, j]))
+    law, entries = law_by_types(scene)
+    if entries is not None:
+        law = law.for_pair(float(entries[i, j]))
     if young is None:
         means = [
             kinds[k].young or scene.cells.young if kinds else scene.cells.young for k in (i, j)

@@ -413,6 +413,13 @@ class CellType:
     surface_energy: Mapping[str, float] | None = quantities(
         "nN/um", at_least=0, doc="of contacts with each type, by name; absent: the law's"
     )
+    adhesion_with: Mapping[str, float] | None = quantities(
+        "",
+        at_least=0,
+        at_most=1e6,
+        doc="factors on the law's surface energy, or on its attraction if it has none, in contacts "
+        "with each type, by name; one of two types may state it; absent: 1",
+    )
     receptor: tuple[tuple[float, float], ...] = course(
         default=0.0, at_least=0, doc="receptor concentration on the surface over time"
     )

@@ -15,9 +15,11 @@ from multicell.contact.law import effective_modulus, effective_radius
 from multicell.errors import SceneError
 from multicell.host.memory import physical_memory
 from multicell.integrators.registry import METHODS
+from multicell.scene.pairs import largest_adhesion, law_by_types
 from multicell.scene.sizes import division_radii
 
 if TYPE_CHECKING:
+    from multicell.contact.law import PairLaw
     from multicell.scene.scene import Scene
 
 
@@ -44,7 +46,7 @@ def check_sizes(scene: Scene) -> None:
     """Raise ``SceneError`` for numbers that nothing can be computed with together."""
     _check_steps(scene)
     _check_crowd(scene)
-    _check_overlap(scene)
+    check_overlap(scene)
     _check_diffusion(scene)
 
 
@@ -95,21 +97,38 @@ def _check_crowd(scene: Scene) -> None:
         raise SceneError("initial.spacing", problem, "At 1 neighbours touch.")
 
 
-def _check_overlap(scene: Scene) -> None:
+def check_overlap(scene: Scene, factor: float = 1.0, key: str = "contact.surface_energy") -> None:
     """Raise ``SceneError`` for cells so sticky that they would be drawn into one another.
 
+    - ``factor``: on surface energies
+    - ``key``: that has made it so large
+
     Two cells must repel each other before their centres meet, at birth and before division, under
-    the largest surface energy and the most bonds that occur, with the smallest mean modulus.
+    their surface energy and the most bonds that occur.
     """
-    law = scene.contact
-    if not law.acts:
+    if not scene.contact.acts:
         return
-    energies = [e for k in scene.types.values() for e in (k.surface_energy or {}).values()]
-    young = min((k.young or scene.cells.young for k in scene.types.values()), default=0.0)
-    young, poisson = young or scene.cells.young, scene.cells.poisson
-    if energies:
-        law = law.with_surface_energy(max(energies))
-    modulus, bonds = effective_modulus(young, poisson, young, poisson), _most_bonds(scene)
+    kinds, usual = scene.types, scene.cells.young
+    moduli = [kind.young or usual for kind in kinds.values()]
+    softest = min(moduli, default=usual)
+    error = _drawn(scene, largest_adhesion(scene, factor), softest, softest, key)
+    law, entries = law_by_types(scene)
+    if error is not None and entries is not None:
+        pairs = {
+            (float(entries[i, j]), min(moduli[i], moduli[j]), max(moduli[i], moduli[j]))
+            for i in range(len(moduli))
+            for j in range(i + 1)
+        }
+        found = (_drawn(scene, law.for_pair(factor * x), a, b, key) for x, a, b in pairs)
+        error = next(filter(None, found), None)
+    if error is not None:
+        raise error
+
+
+def _drawn(scene: Scene, law: PairLaw, young: float, other: float, key: str) -> SceneError | None:
+    """Return an error for two cells that do not repel each other where their centres meet."""
+    poisson = scene.cells.poisson
+    modulus, bonds = effective_modulus(young, poisson, other, poisson), _most_bonds(scene)
     for radius in (part * own for own in division_radii(scene) for part in (HALF, 1.0)):
         pair, deep = effective_radius(radius, radius), 1.99 * radius
         force = float(law.evaluate(deep, modulus, pair, rest=2.0 * radius, touching=True)[0])
@@ -118,10 +137,11 @@ def _check_overlap(scene: Scene) -> None:
         if force <= 0.0 and not law.is_sticky:
             problem = f"gives a force of {force:.3g} nN to cells that overlap by {deep:.3g} um"
             hint = "A force is positive where cells repel each other: change the sign of the law."
-            raise SceneError("contact.law", problem, hint)
-        path = "adhesion.strength" if force > 0.0 else "contact.surface_energy"
+            return SceneError("contact.law", problem, hint)
+        path = "adhesion.strength" if force > 0.0 else key
         problem = f"draws cells of radius {radius:.3g} um into one another, centre upon centre"
-        raise SceneError(path, problem, "Let cells stick less, or take a larger cells.young.")
+        return SceneError(path, problem, "Let cells stick less, or take a larger cells.young.")
+    return None
 
 
 def _most_bonds(scene: Scene) -> float:

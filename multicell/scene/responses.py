@@ -18,6 +18,7 @@ from multicell.behaviours.catalogue import (
     CONTACTS,
     PHASE,
     SIGNALS,
+    SURFACE_ENERGY,
     Behaviour,
     behaviour_named,
     signal_unit,
@@ -36,8 +37,10 @@ from multicell.plugins.named import OWN_OBJECT
 from multicell.scene.checks import check_kinds
 from multicell.scene.dependences import followed
 from multicell.scene.networks import check_kinds_have, check_network_signal, network_signals
-from multicell.scene.oxygen import check_dissolves, concentration
+from multicell.scene.oxygen import check_dissolves, concentration, is_oxygen
+from multicell.scene.pairs import largest_energy
 from multicell.scene.parts import CellType, loaded_in
+from multicell.scene.ranges import check_overlap
 from multicell.scene.reactions import group_of
 from multicell.schema import (
     Bounds,
@@ -177,6 +180,21 @@ def relevant_fields(scene: Scene) -> set[str]:
     for reaction in scene.reactions.values():
         read |= set(reaction.fields)
     return read | set(() if scene.energy is None else scene.energy.yields or ())
+
+
+def largest_factor(scene: Scene, behaviour: str) -> tuple[float, str]:
+    """Return the largest factor that responses make of a behaviour, and the key that raises it.
+
+    At least one, then with an empty key.
+    """
+    known = [x for x in effects(scene) if x.behaviour == behaviour]
+    most = {x.key: x.law.most(x.low, x.high) for x in known}
+    if not most or max(most.values()) <= 1.0:
+        return 1.0, ""
+    key, rule = max(most, key=lambda name: most[name]), known[-1].combine
+    raised = [max(value, 1.0) for value in most.values()]
+    factor = math.prod(raised) if rule == "product" else max(raised)
+    return sum(x - 1.0 for x in raised) + 1.0 if rule == "sum" else factor, key
 
 
 def own_value(scene: Scene, behaviour: Behaviour) -> float:
@@ -353,6 +371,9 @@ def check_responses(scene: Scene) -> None:
     for name, part in made.items():
         for signal in part.signals:
             check_kinds_have(scene, signal, part.types, f"responses.{name}.signal")
+    factor, sticky = largest_factor(scene, SURFACE_ENERGY)
+    if sticky:
+        check_overlap(scene, factor, sticky)
     rules: dict[str, tuple[str, str]] = {}
     for effect in effects(scene):
         if effect.short:
@@ -459,7 +480,7 @@ def signal_reader(scene: Scene, name: str) -> Any:
         check_dissolves(level, scene.nutrients[name].temperature, path)
         return level
 
-    return oxygen if name == "oxygen" and name in scene.nutrients else read
+    return oxygen if is_oxygen(name) and name in scene.nutrients else read
 
 
 def _check_behaviour(scene: Scene, behaviour: Behaviour, of: str) -> None:
@@ -481,6 +502,10 @@ def _check_behaviour(scene: Scene, behaviour: Behaviour, of: str) -> None:
         "[motility]": name == "bias" and scene.motility is None,
         "[adhesion]": name in ("receptors", "ligands") and scene.adhesion is None,
     }
+    if name == SURFACE_ENERGY and largest_energy(scene) == 0.0:
+        problem = f"is {name!r}, which has no effect: the contacts have none"
+        hint = "Take a contact law that has one, such as law = 'jkr', above 0."
+        raise SceneError("behaviour", problem, hint)
     active = scene.motility is not None or bool(scene.chemotaxis)
     lacking["[motility]"] |= name == "speed" and not active
     for table, missing in lacking.items():

@@ -17,6 +17,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
+from multicell.behaviours.catalogue import SURFACE_ENERGY
 from multicell.contact.law import PairLaw
 from multicell.contact.registry import CONTACT_LAWS
 from multicell.errors import SceneError
@@ -36,6 +37,7 @@ from multicell.scene.conditions import conditions
 from multicell.scene.domain import check_domain
 from multicell.scene.driven import PrescribedMotion, check_driven
 from multicell.scene.energy import Energy, check_energy
+from multicell.scene.initial_copies import place_initial_files
 from multicell.scene.networks import CellNetwork, check_networks, place_networks
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.own_units import enter_units
@@ -60,7 +62,13 @@ from multicell.scene.parts import (
 from multicell.scene.radiation import Radiation, check_radiation
 from multicell.scene.ranges import check_sizes
 from multicell.scene.reactions import Reaction
-from multicell.scene.responses import Response, check_responses, check_signal, relevant_fields
+from multicell.scene.responses import (
+    Response,
+    check_responses,
+    check_signal,
+    largest_factor,
+    relevant_fields,
+)
 from multicell.scene.start_table import Initial, place_table
 from multicell.schema import (
     build_part,
@@ -201,7 +209,8 @@ class Scene:
             check_responses(self)
         conditions(self)
         self.contact.check_scene(self)
-        check_domain(self)
+        sticky = largest_factor(self, SURFACE_ENERGY)[0] if self.responses else 1.0
+        check_domain(self, sticky)
         check_driven(self)
         check_nutrients(self)
         check_energy(self)
@@ -302,15 +311,16 @@ class Scene:
         extra
             Facts for the header, such as the versions of packages; one comment line each.
         beside
-            Folder of the file: a table of the cells at the start, and files of networks, that are
-            there too are named without their folder.
+            Folder of the file: a table of the cells at the start, and files of networks and
+            fields, that are there too are named without their folder.
         """
         import tomli_w
 
         entries = self.to_dict()
         if beside is not None:
             cells = [entries["initial"]["cells"]] if self.initial.cells is not None else []
-            for table in (*cells, *entries.get("networks", {}).values()):
+            fields = [x.get("initial_file", {}) for x in entries.get("nutrients", {}).values()]
+            for table in (*cells, *fields, *entries.get("networks", {}).values()):
                 if "file" in table:
                     table["file"] = name_beside(table["file"], beside)
 
@@ -384,7 +394,8 @@ def place_files(entries: dict[str, Any], source: str | Path) -> dict[str, Any]:
     """Return the entries of a scene file with the paths of the files that it names made whole."""
     if isinstance(source, str) and source in scene_names():
         source = _built_in(source)
-    return place_networks(place_table(entries, source), source)
+    placed = place_networks(place_table(entries, source), source)
+    return place_initial_files(placed, source)
 
 
 def _as_changes(changes: object) -> dict[str, Any]:
@@ -502,6 +513,7 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
         and isinstance(inside, dict)
         and spec is None
         and key != "initial.cells"
+        and last != "initial_file"
     ):
         names = ", ".join(list(inside)[:8])
         raise SceneError(key, f"is a table, not {shown(value)}", f"Name one of its keys: {names}.")
@@ -512,7 +524,7 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
             node[last] = deepcopy(value)  # a later key may write into it
         except RecursionError:
             raise SceneError(key, "is nested too deeply") from None
-    if parents[:1] == ["networks"] and last == "file":
+    if last == "file" and (parents[:1] == ["networks"] or parents[-1:] == ["initial_file"]):
         node.pop("sha256", None)  # that of the file before
     if key in ("initial.cells", "initial.cells.file") and value is not None:
         # the new table says how many cells there are, and where

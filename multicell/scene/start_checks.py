@@ -36,11 +36,13 @@ def check_start_table(scene: Scene) -> None:
     assert scene.initial.cells is not None
     given = scene.initial.cells.given
     if scene.contact.acts:
-        refuse_coinciding(given)
+        refuse_coinciding(given, near=False)
     _check_axes(scene, given)
     kinds_of(scene, given)
     _check_phases(scene, given)
     _check_sizes(scene, given)
+    if scene.contact.acts:  # by radii that can be: a giant's centre is near to all
+        refuse_coinciding(given, near=True)
     _check_places(scene, given)
     _check_inside(scene, given)
 

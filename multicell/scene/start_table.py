@@ -409,11 +409,13 @@ def normalise(source: Columns) -> Given:
     return Given({**made, "kind": codes} if kinds else made, kinds, source, titles)
 
 
-def refuse_coinciding(given: Given) -> None:
-    """Refuse two cells at one place: between them no force has a direction."""
-    pairs = _same_places(positions(given))
-    if not len(pairs):
-        pairs = near_pairs(given, _COINCIDING, 0.5)
+def refuse_coinciding(given: Given, *, near: bool) -> None:
+    """Refuse two cells at one place: between them no force has a direction.
+
+    ``near``: at places that differ by less than a small part of their radii, which are known to be
+    those of cells; else at exactly the same one.
+    """
+    pairs = near_pairs(given, _COINCIDING, 0.5) if near else _same_places(positions(given))
     if len(pairs):
         first, second = sorted(pairs[np.lexsort(pairs.T)][0].tolist())
         other = given.place(first).removeprefix(f"{given.source.name}, ")

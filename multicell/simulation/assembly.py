@@ -22,13 +22,14 @@ if TYPE_CHECKING:
 def mechanics_of(scene: Scene, threads: int) -> Mechanics:
     """Return the mechanics that a scene asks for."""
     friction = scene.friction
+    law, entries = pairs.law_by_types(scene)
     return Mechanics(
-        scene.contact,
+        law,
         scene.drag.viscosity,
         threads,
         bond_strength=0.0 if scene.adhesion is None else scene.adhesion.strength,
         friction=(0.0, 0.0) if friction is None else (friction.normal, friction.tangential),
-        surface_energies=pairs.surface_energies(scene),
+        pair_table=entries,
         walls=walls(scene),
         compression=pairs.compression(scene),
         period=None if scene.domain is None else scene.domain.period,

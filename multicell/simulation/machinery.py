@@ -6,9 +6,7 @@ It holds nothing of a run from step to step. Parts of a state are loaded into it
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Final, final
-
-import numpy as np
+from typing import TYPE_CHECKING, final
 
 from multicell.biology.growth import growth_factor
 from multicell.biology.motion import motion_of
@@ -28,9 +26,6 @@ if TYPE_CHECKING:
     from multicell.simulation.run_state import RunState
 
 
-_NOBODY: Final = np.zeros((0, 2), dtype=np.int64)  # touch: fields respond to no neighbours
-
-
 def fields_of(
     scene: Scene, reactions: Mapping[str, OwnReaction] | None, threads: int, plan: BiologyPlan
 ) -> FieldSystem:
@@ -45,11 +40,14 @@ def fields_of(
 
         return FieldSystem(scene, reactions, threads, respond)
 
+    from multicell.biology.inside import no_pairs
+
     def respond_inside(
         behaviour: str, cells: Cells, signals: Mapping[str, FloatArray]
     ) -> FloatArray | None:
         needs = {name for part in plan.responses.get(behaviour, ()) for name in part.needs}
-        inside = networks.signals(needs - {*signals}, cells, system.time, lambda: _NOBODY)
+        # fields respond to no neighbours
+        inside = networks.signals(needs - {*signals}, cells, system.time, no_pairs)
         return value_of(plan, behaviour, 1.0, {**signals, **inside}, cells, early=True)
 
     system = FieldSystem(scene, reactions, threads, respond_inside, networks.fluxes)

@@ -27,7 +27,7 @@ from multicell.results.folder import (
     LOCK,
     PASSING,
     RUN_FILES,
-    copied_networks,
+    copied_files,
     file_errors,
     in_use,
     lock_folder,
@@ -476,7 +476,7 @@ def _empty(work: Task, place: Path) -> None:
         elif now.kind == "unreadable":
             raise OutputError(now.reason, exit_code=ExitCode.MACHINE)
         elif not (now.frames or now.state == "done"):
-            remove(place, (*PASSING, *RUN_FILES, *copied_networks(place), NOTE))
+            remove(place, (*PASSING, *RUN_FILES, *copied_files(place), NOTE))
 
 
 def _set_aside(place: Path) -> None:

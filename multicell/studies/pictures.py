@@ -187,7 +187,7 @@ class StudyPlots:
             axes.set_autoscale_on(False)
             axes.set_xlim(*style.span(time))
             axes.xaxis.set_tick_params(labelbottom=True)
-            axes.xaxis.set_major_locator(MaxNLocator(6))
+            axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
             axes.set_xlabel(f"time ({unit.name})" if place >= len(grid) - columns else "")
             axes.set_ylabel("" if place % columns else of.label(table, observable))
         for axes, axis in zip(grid, names, strict=False):

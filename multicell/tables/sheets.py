@@ -85,4 +85,7 @@ def _field(cell: Any, written: Any, place: str) -> str:
         return str(value).lower()
     if isinstance(value, datetime.datetime | datetime.date | datetime.time):
         return value.isoformat()
+    if isinstance(value, datetime.timedelta):
+        minutes, seconds = divmod(value.total_seconds(), 60.0)
+        return f"{int(minutes) // 60}:{int(minutes) % 60:02}:{seconds:g}"
     return str(value).strip()

@@ -1,11 +1,13 @@
 """The best of a fit is never worse than what ran, and a fit that does not fit states it first."""
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from cheap_fits import SCENE, Growing, fitted, growing, linear, measured
 
+from multicell.calibration.fitting.page import data_in_words
 from multicell.calibration.fitting.plan import FitPlan, make_runs
 from multicell.calibration.fitting.pool import Pool
 from multicell.calibration.fitting.problem import FitProblem
@@ -104,6 +106,8 @@ def test_a_fit_that_does_not_fit_says_which_data():
     assert found.notes[0].startswith("The scene does not fit the data: χ² is ")
     worst = int(np.argmax(np.abs(found.best.residuals)))
     assert f"(row {worst})" in found.misfit
+    assert sorted(re.findall(r"at (\S+ \w+) \(row", found.misfit)) == ["1 h", "2 h", "3 h"]
+    assert [row["when"] for row in data_in_words(found)] == ["1 h", "2 h", "3 h"]
     assert found.summary()["fits"] is False
     (axes,) = found.plot.deviations().axes
     drawn = np.concatenate([line.get_ydata() for line in axes.lines if line.get_marker() == "o"])

@@ -17,7 +17,8 @@ MODULES = ("typing", "json", "click", "numpy", "numba", "matplotlib", "multiproc
 
 def python(folder, *arguments, **variables):
     """Run Python in a folder, where variables of None are not set."""
-    environment = {**os.environ, "PYTHONPATH": str(Path(mc.__file__).parents[1]), **variables}
+    package = {"PYTHONPATH": str(Path(mc.__file__).parents[1]), "PYTHONSAFEPATH": None}
+    environment = {**os.environ, **package, **variables}
     return subprocess.run(
         [sys.executable, *map(str, arguments)],
         cwd=folder, env={name: text for name, text in environment.items() if text is not None},

@@ -337,6 +337,7 @@ def test_no_methods_are_refused():
         compare(PAIR, [])
 
 
+@pytest.mark.slow
 def test_every_method_there_is_meets_the_exact_solution():
     ladder = {"tolerance": [1e-6], "step": [0.5]}
     result = compare(PAIR, None, ladder, references=BOTH_EXACT, repeats=1, patience=1e3, budget=1e4)

@@ -202,6 +202,7 @@ def test_what_cannot_be_compared_is_refused_with_a_hint():
         compare_networks(two)
 
 
+@pytest.mark.slow
 def test_both_commands_take_networks(tmp_path):
     file = tmp_path / "scene.toml"
     (tmp_path / "n.ant").write_text("A = 1; A' = -0.5*A;\n", encoding="utf-8")

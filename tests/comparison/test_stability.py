@@ -366,6 +366,7 @@ def test_bad_input_is_refused_with_words(scene, options, words):
         stability(scene, **options)
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("law", ["jkr", "exact-jkr"])
 def test_a_fixed_step_is_watched_step_by_step_also_for_a_method_that_looks_back(law):
     """Seen one by one, the states of AB2 are those of one integration in a single go.

@@ -5,7 +5,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import nbformat
 import notebook_runner
 import pytest
 from page_commands import ROOT
@@ -13,6 +12,7 @@ from page_commands import ROOT
 import multicell as mc
 from multicell.report.wording import diagnostics, measures
 
+nbformat = pytest.importorskip("nbformat", reason="notebooks are made with multicell[docs]")
 pytest.importorskip("myst_nb")
 DOCS = ROOT / "docs"
 sys.path.insert(0, str(DOCS / "extensions"))
@@ -111,7 +111,8 @@ def test_environment_has_what_an_extra_brings_and_no_more():
 
 
 SHORTER = {
-    "cluster-study": {'duration="2 d"': 'duration="10 h"'},
+    "cluster-study": {'duration="2 d"': 'duration="10 h"', "0.02,0.03,0.05 mM": "0.02,0.05 mM"},
+    "coculture": {", 2.5)": ", 4)"},
     "dose-response-in-an-hour": {
         "count = 60": "count = 30",
         "--seeds 4": "--seeds 2",
@@ -124,12 +125,20 @@ SHORTER = {
         'duration="4.5 d"': 'duration="30 h"',
     },
     "fit-and-predict": {
+        '"wm983b", 3': '"wm983b", 5',
+        "log 70:180": "log 15:40",
+        "budget=38": "budget=38, cores=1",
         '"coupling_step": "2 h"': '"coupling_step": "4 h"',
         '"duration": "21 d"': '"duration": "12 d"',
         "sample(10": "sample(3",
     },
     "network-in-every-cell": {'invasion.toml")': 'invasion.toml").with_changes(duration="5 h")'},
-    "own-cell-line": {'coupling_step = "20 min"': 'coupling_step = "1 h"'},
+    "own-cell-line": {
+        'coupling_step = "20 min"': 'coupling_step = "2 h"',
+        "--budget 60": "--budget 38",
+        "budget=60": "budget=38",
+        "sample(10": "sample(3",
+    },
     "paraview-pandas-scanpy": {
         'duration="2.5 d"': 'duration="10 h"',
         'output.every="12 h"': 'output.every="2 h"',

@@ -7,6 +7,7 @@ test, with the functions that it compiled and the time of processes that it wait
 """
 
 import collections
+import gc
 import json
 import sys
 import threading
@@ -18,13 +19,15 @@ from numba.core import event
 
 SHOWN = 40
 """Rows of each table."""
+WIDTH = 160
+"""Characters of a function with its types."""
 
 
 class Compiled(event.Listener):
     """Notes what numba compiles, and how long that takes."""
 
     def __init__(self):
-        self.seconds, self.names = 0.0, []
+        self.seconds, self.names, self.took = 0.0, [], collections.Counter()
         self._here = threading.local()
 
     def on_start(self, begun):
@@ -39,22 +42,41 @@ class Compiled(event.Listener):
         name = f"{function.__module__}.{function.__qualname__}"
         self.names.append(f"{name} {ended.data['args']}")
         self._here.depth -= 1
-        if self._here.depth == 0:
-            self.seconds += time.thread_time() - self._here.begin
+        if self._here.depth == 0:  # with all functions that it calls
+            took = time.thread_time() - self._here.begin
+            self.seconds += took
+            self.took[name] += took
+
+
+class Collected:
+    """Counts the time in which Python searches for cyclic garbage."""
+
+    def __init__(self):
+        self.seconds = self._begin = 0.0
+
+    def __call__(self, phase, _):
+        """Note that the collector begins or ends."""
+        if phase == "start":
+            self._begin = time.thread_time()
+        else:
+            self.seconds += time.thread_time() - self._begin
 
 
 class Costs:
     """Writes the cost of each test to a file, to which other workers write too."""
 
     def __init__(self, path):
-        self.path, self.compiled = path, Compiled()
+        self.path, self.compiled, self.collected = path, Compiled(), Collected()
         event.register("numba:compile", self.compiled)
+        gc.callbacks.append(self.collected)
 
     @pytest.hookimpl(hookwrapper=True, tryfirst=True)
     def pytest_runtest_protocol(self, item):
         """Measure a test with its fixtures."""
         before, compiled = spent(), self.compiled.seconds
+        collected = self.collected.seconds
         self.compiled.names.clear()
+        self.compiled.took.clear()
         yield
         own, others = (after - earlier for after, earlier in zip(spent(), before, strict=True))
         row = {
@@ -63,7 +85,9 @@ class Costs:
             "own": own,
             "others": others,
             "compiling": self.compiled.seconds - compiled,
+            "garbage": self.collected.seconds - collected,
             "compiled": self.compiled.names,
+            "took": self.compiled.took,
         }
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
@@ -102,15 +126,18 @@ def table(rows):
     for row in rows:
         costs = {"cpu": row["own"] + row["others"], "short": 0.0, "tests": 1}
         costs["short"] = 0.0 if row["slow"] else costs["cpu"]
-        costs |= {"others": row["others"], "compiling": row["compiling"]}
+        costs |= {name: row[name] for name in ("others", "compiling", "garbage")}
         files[row["test"].partition("::")[0]].update(costs)
-    heads = ("cpu", "short", "compiling", "others", "tests")
+    heads = ("cpu", "short", "compiling", "others", "garbage", "tests")
     whole = sum(files.values(), collections.Counter())
     yield " ".join(f"{head:>9}" for head in heads)
     for name, costs in [("all", whole), *sorted(files.items(), key=lambda x: -x[1]["cpu"])[:SHOWN]]:
         yield " ".join(f"{costs[head]:9.1f}" for head in heads) + f"  {name}"
     again = sum(count - 1 for count in compiled.values())
     yield f"{compiled.total()} functions compiled, {again} of them again"
+    took = sum((collections.Counter(row["took"]) for row in rows), collections.Counter())
+    for name, seconds in took.most_common(SHOWN):
+        yield f"{seconds:9.1f}  {name[:WIDTH]}"
     for row in sorted(rows, key=lambda row: -row["own"] - row["others"])[:SHOWN]:
         yield f"{row['own'] + row['others']:9.1f}  {row['test']}"
 

@@ -19,6 +19,7 @@ from multicell.results.journal import Reader
 from multicell.results.reader import Contents
 
 MEMORY = 3 << 30  # bytes of address space beyond what the process has
+COPIES = ("*.network.*", "*.begins.*")  # of files that a scene names
 RECORD_FILES = ("frames.h5", "frames.journal")
 
 
@@ -29,7 +30,7 @@ def hurt(folder, rng):
     if (folder / "frames.journal").is_file():
         ways += [_shuffle] * 3
     way = rng.choice(ways)
-    copies = sorted(path.name for path in folder.glob("*.network.*"))
+    copies = sorted(path.name for way in COPIES for path in folder.glob(way))
     small = ["scene.toml", "summary.json", *copies]
     names = small if way is text else [*RECORD_FILES, *RECORD_FILES, *small]
     path = rng.choice([folder / name for name in names if (folder / name).is_file()])

@@ -21,23 +21,25 @@ from multicell.errors import OutputError
 
 NETWORK = "hif.network.ant"
 """The copy of a network's file that runs and studies keep."""
+BEGINNING = "oxygen.begins.npy"
+"""The copy of the file that a field begins as."""
 
 
 def files_of(folder):
     """Return the files of a folder that are read again, by their paths in it."""
     own = ("study.toml", "scene.toml", "expected.json", "fit.json", "search.log", "result.json",
            "data.csv", "measured.log", "workprecision.json", "frames.h5",
-           "summary.json", NETWORK)  # fmt: skip
+           "summary.json", NETWORK, BEGINNING)  # fmt: skip
     names = [name for name in own if (folder / name).is_file()]
     runs = sorted((folder / "runs").glob("*/*")) if (folder / "runs").is_dir() else []
-    wanted = ("summary.json", "frames.h5", "scene.toml", NETWORK)
+    wanted = ("summary.json", "frames.h5", "scene.toml", NETWORK, BEGINNING)
     return names * 2 + [str(p.relative_to(folder)) for p in runs if p.name in wanted]
 
 
 def hurt(folder, rng):
     path = folder / rng.choice(files_of(folder))
     ways = [cut, flip, flip, _edit, _edit, _edit, special, special, text]
-    if path.parent.parent.name == "runs" and path.name != NETWORK:
+    if path.parent.parent.name == "runs" and path.name not in (NETWORK, BEGINNING):
         ways += [_of_another_run] * 3
     way = rng.choice(ways)
     return f"{path.relative_to(folder)}, {way.__name__}: {way(path, rng)}"

@@ -125,7 +125,18 @@ def _spring(force, law, h, rest):
     return force(rest - h), energy
 
 
+def scaled(law, h, modulus, radius, rest, sigma):
+    """A spring whose attraction has a factor: its energy is that up to rest, and what follows."""
+    plain = FORMULAS[type(law.law).__name__]
+    force, energy = plain(law.law, h, modulus, radius, rest, sigma)
+    at_rest = plain(law.law, np.minimum(h, 0.0), modulus, radius, rest, sigma)[1]
+    factor = law.factor if sigma is None or not np.ndim(sigma) else sigma
+    pulls = np.where(force < 0.0, factor * force, force)
+    return pulls, factor * at_rest + (energy - at_rest)
+
+
 FORMULAS = {
+    "ScaledAttraction": scaled,
     "Hertz": hertz,
     "JKR": approximate_jkr,
     "ExactJKR": exact_jkr,

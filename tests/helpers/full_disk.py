@@ -16,6 +16,7 @@ import multicell as mc
 from multicell.studies.axes import parse_ranges
 
 SHORT = ["--set", "duration=2 h", "--set", "output.every=1 h"]
+FEW = ["--set", "initial.count=12", "--set", "duration=10 min"]
 FREE = ["--free", "growth.cycle_time=8:25 h"]
 DOSES = ["--set", "death.apoptosis_rate=0", "--set", "duration=20 h", "--seeds", "1", "--yes",
          "--dose", "death.apoptosis_rate=0,0.005,0.02,0.05,0.2,0.6 1/h"]  # fmt: skip
@@ -30,8 +31,10 @@ WRITING = {
     "study new": lambda at, out: ["study", "new", "growth", "-o", out],
     "study run": lambda at, out: ["study", "run", at / "planned", "--cores", "1"],
     "study report": lambda at, out: ["study", "report", at / "study"],
-    "compare": lambda at, out: ["compare", "settle", "-o", out, "--methods", "euler"],
-    "stability": lambda at, out: ["stability", "settle", "-o", out, "--methods", "euler"],
+    "compare": lambda at, out: ["compare", "settle", "-o", out, "--methods", "euler", *FEW],
+    "stability": lambda at, out: ["stability", "settle", "-o", out, "--methods", "euler", *FEW],
+    "stability in motion": lambda at, out: ["stability", "--state", f"{at / 'tissue'}:0 s",
+                                            "-o", out, "--methods", "euler"],
     "sensitivity": lambda at, out: ["sensitivity", "growth", *SHORT, *FREE, "--size", "4",
                                     "-o", out, "--cores", "1"],
     "fit": lambda at, out: ["fit", "growth", *SHORT, *FREE, "--data", at / "data.csv", "-o", out,
@@ -64,6 +67,17 @@ def prepare(place, multicell):
     (place / "data.csv").write_text("time / h,diameter / um\n0.5,15\n1,15\n1.5,16\n2,16\n")
     for words in (
         ["run", "growth", "-o", place / "run", *SHORT, "--no-report"],
+        [
+            "run",
+            "settle",
+            "-o",
+            place / "tissue",
+            "--set",
+            "initial.count=8",
+            "--set",
+            "duration=1 min",
+            "--no-report",
+        ],
         [*study, place / "study"],
         ["study", "run", place / "study", "--cores", 1, "--no-report"],
         [*study, place / "planned"],

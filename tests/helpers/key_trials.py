@@ -277,6 +277,12 @@ def special():
     yield "a phase after a condition", waiting
     loose = {"contact": {"law": "hertz"}, "initial": {"count": 6, "spacing": 0.8}}
     yield "plane", {"duration": 120.0, "coupling_step": 60.0, "dimensions": 2, **loose}
+    kinds = {
+        "a": {"fraction": 0.5, "adhesion_with": {"a": 1.2, "b": 0.5}},
+        "b": {"fraction": 0.5, "adhesion_with": {"b": 0.8}},
+    }
+    sticky = {**loose, "contact": {"law": "jkr"}, "types": kinds}
+    yield "adhesion of pairs", {"duration": 120.0, "coupling_step": 60.0, **sticky}
     scene = settling(3, {"law": "jkr"}, "euler")
     for name in ("domain", "friction", "pull", "motions"):
         del scene[name]

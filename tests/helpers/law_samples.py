@@ -4,7 +4,7 @@ from multicell.contact.exact_jkr import ExactJKR
 from multicell.contact.jkr import JKR
 from multicell.contact.physicell import PhysiCell
 from multicell.contact.registry import CONTACT_LAWS
-from multicell.contact.springs import LinearSpring
+from multicell.contact.springs import CubicSpring, LinearSpring
 from multicell.schema import specs
 
 # neither those that other tests have made, nor the one without forces
@@ -22,6 +22,7 @@ LIMITS = {
     "smooth jkr": JKR(surface_energy=0.1, smoothing=0.6),
     "jkr that does not stick": JKR(surface_energy=0.0),
     "exact jkr that does not stick": ExactJKR(surface_energy=0.0),
+    "cubic that pulls less": CubicSpring(stiffness_at_rest=1.2).scaled_by_pairs().for_pair(0.3),
     "repulsive": LinearSpring(stiffness_at_rest=1.7, cutoff=1.0),
     "sticky physicell": PhysiCell(length=0.8, surface_energy=0.6, cutoff=1.4),
 }

@@ -23,7 +23,11 @@ from pathlib import Path
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+import multicell
+
 ROOT = Path(__file__).parents[2]
+PACKAGE = Path(multicell.__file__).parents[1]
+"""Where the package is that tests import; for that of another folder all would be compiled anew."""
 BLOCK = '''
 import os
 import sys
@@ -106,7 +110,7 @@ def environment(asked: list[str], folder: Path) -> dict[str, str]:
         program.chmod(0o755)
     return {
         **os.environ,
-        "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)]),
+        "PYTHONPATH": os.pathsep.join([str(folder), str(PACKAGE)]),
         "PATH": os.pathsep.join([str(folder), os.environ["PATH"]]),
         "REFUSED_MODULES": ",".join(sorted(refused(asked))),
         "MPLBACKEND": "agg",

@@ -35,9 +35,12 @@ from pathlib import Path
 import click
 from click.testing import CliRunner
 
+import multicell
 from multicell.cli.main import main
 
 ROOT = Path(__file__).parents[2]
+PACKAGE = Path(multicell.__file__).parents[1]
+"""Where the package is that tests import; for that of another folder all would be compiled anew."""
 SHELL = ("sh", "bash", "shell", "console")
 _FENCE = re.compile(r"^(?P<indent> *)(?P<fence>`{3,}|~{3,})(?P<language>[^`\n]*)$")
 _COMMENT = re.compile(r"^(?:% test:|<!-- *test:) *(?P<text>.*?) *(?:-->)?$")
@@ -239,7 +242,7 @@ def _environment(folder: Path) -> dict[str, str]:
     for name, words in {"multicell": "-m multicell", "python": "", "python3": ""}.items():
         (place / name).write_text(f'#!/bin/sh\nexec "{sys.executable}" {words} "$@"\n')
         (place / name).chmod(0o755)
-    paths = {"PATH": place, "PYTHONPATH": ROOT}
+    paths = {"PATH": place, "PYTHONPATH": PACKAGE}
     before = {name: os.environ.get(name, "") for name in paths}
     joined = {name: os.pathsep.join([str(paths[name]), before[name]]) for name in paths}
     return {**os.environ, **joined, "BROWSER": "true"}

@@ -15,6 +15,7 @@ import tempfile
 from pathlib import Path
 
 import hypothesis
+import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -44,6 +45,7 @@ NAMES = {
     "yields": FIELDS,
     "secretion_of": FIELDS,
     "surface_energy": TYPES,
+    "adhesion_with": TYPES,
     "parameters": ("exponent",),
     "sides": FACES,
     "phases": CYCLE_PHASES,
@@ -76,7 +78,7 @@ def relax(t, y, u, p, out):
 TEXTS = {
     "columns": ("", "x=position_x_um um, y=y_um um, z=z_um um"),
     "behaviour": ("growth rate", "rest", "apoptosis rate", "necrosis rate", "damage rate",
-                  "entry into S", "speed", "receptors", "Young's modulus",
+                  "entry into S", "speed", "receptors", "Young's modulus", "surface energy",
                   "uptake of oxygen", "change to soft"),
     "signal": (*FIELDS, "pressure", "age", "volume", "time", "neighbours",
                "contacts with soft", "relax.A", "neighbours.relax.A"),
@@ -87,6 +89,7 @@ TEXTS = {
     "network": (relax.name,),
     "solver": ("auto", "auto", "multicell-implicit", "multicell-march", "multicell-steady"),
     "initial_formula": ("0.05", "0.02 * exp(-(x**2 + y**2) / 400)"),
+    "column": ("", "value"),
     "after": ("age > 20 min", "pressure > 0.01 kPa", "volume > 200", "neighbours < 3"),
 }  # fmt: skip
 """Texts that name something, by their keys."""
@@ -110,7 +113,8 @@ TOGETHER = {
     "Side": ("type=derivative derivative", "value", ""),
     "Release": ("place", "type"),
     "Domain": ("shape=sphere radius stiffness", "shape=sphere radius", "x y z"),
-    "Nutrient": ("uptake", "uptake_per_volume uptake_on", "uptake_per_volume",
+    "Nutrient": ("uptake", "uptake initial_formula", "uptake initial_file",
+                 "uptake_per_volume uptake_on", "uptake_per_volume",
                  "uptake_per_volume geometry=radial layer"),
 }  # fmt: skip
 """Keys of parts that mean nothing alone, or exclude each other: one row of them is drawn."""
@@ -176,6 +180,7 @@ WILD = (
 
 OF_OWN_CODE = {
     "growth.parameters", "networks.*.file", "networks.*.sha256",
+    "nutrients.*.initial_file.sha256",
     "output.observables", "output.observables.*.function",
     "output.observables.*.unit", "responses.*.parameters", "growth.phases.*.target_scale",
 }  # fmt: skip
@@ -243,6 +248,9 @@ class Drawer:
                 value = row.get(field.name) or self.value(spec, field, f"{path}{field.name}")
                 if value is not None:
                     entries[field.name] = value
+        if part is Scene:
+            for field in entries.get("nutrients", {}).values():
+                _begin(self, field, entries.get("dimensions", 3))
         return fitted(entries, part)
 
     def value(self, spec, field, path):
@@ -276,10 +284,14 @@ class Drawer:
         return self.one_of(spec.options)
 
     def _text(self, spec, field, path):
+        if path.endswith("initial_file.sha256"):
+            return None  # that of the file
         plain = "", "A scene", 'with "quotes" \\ and # and = [x]', "é µ 🧫"
         return self.one_of(TEXTS.get(path.split(".")[-1], plain))
 
     def _file_path(self, spec, field, path):
+        if "initial_file" in path:
+            return str(written_field(self.one_of(["plane.npy", "space.npy", "space.csv"])))
         return str(written_table(self.one_of([1, 2, 3, 8])))
 
     def _flag(self, spec, field, path):
@@ -291,7 +303,9 @@ class Drawer:
     def _table(self, spec, field, path):
         if spec.shorthand and self.chance(0.2):
             short = specs(spec.table)[spec.shorthand]
-            return self.one_of(short.options or self._file_path(short, None, path))
+            if not short.options:
+                return self._file_path(short, None, path)
+            return self.one_of(short.options)
         return self.part(spec.table, f"{path}.")
 
     def _variant(self, spec, field, path):
@@ -463,6 +477,23 @@ def written_table(rows):
     return file
 
 
+def written_field(name):
+    """Write values on a grid that a field begins as; return their path."""
+    file = _TABLES / name
+    if not file.exists():
+        values = np.arange(24).reshape(4, 3, 2) / 500
+        if file.suffix == ".npy":
+            np.save(file, values if name.startswith("space") else values[:, :, 0])
+        else:
+            lines = [f"x,y,z,value,{','.join(FIELDS)}"]
+            for (x, y, z), value in np.ndenumerate(values):
+                lines.append(
+                    f"{20 * x - 30},{20 * y - 20},{20 * z - 10}" + f",{value}" * (1 + len(FIELDS))
+                )
+            file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return file
+
+
 @st.composite
 def plausible(draw, extreme=0.004, small=True, share=0.45):
     """Draw the entries of a scene that fits together; ``small``: that runs in a moment."""
@@ -501,6 +532,20 @@ def starting(draw):
             field["finite_medium"] = {"volume": 10.0 ** draw(st.floats(5.0, 9.0))}
         scene["nutrients"] = {"oxygen": field}
     return scene
+
+
+def _begin(drawer, field, dimensions):
+    """Let what a field begins as mostly have an effect, and fit to the scene."""
+    if not {"initial_file", "initial_formula"} & set(field) or drawer.chance(0.2):
+        return
+    field["regime"] = "transient"
+    part = field.get("initial_file")
+    if isinstance(part, dict):
+        table = part["file"].endswith(".csv") and dimensions == 3
+        name = "space.csv" if table else "space.npy" if dimensions == 3 else "plane.npy"
+        part["file"] = str(written_field(name))
+        for key in ("x", "y", "z") if table else ("column",):
+            part.pop(key, None)
 
 
 def _make_small(drawer, scene):

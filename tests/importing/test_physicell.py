@@ -1,5 +1,6 @@
 """PhysiCell's settings as scenes: each element once, and numbers by closed forms."""
 
+import math
 import re
 from collections import Counter
 
@@ -17,6 +18,9 @@ from multicell.importing.physicell.reader import _SETTINGS
 from multicell.scene.pairs import pair_of
 from multicell.scene.scene import Scene
 from multicell.schema import specs
+
+GROWING = (1.0 - 540.0 / 2494.0) / 0.005 + 540.0 / 2494.0 / 0.0055 + 0.75 / (0.25 * 0.05)
+"""Mean time in which the volume of the settings follows its target, min."""
 
 
 def fates(made):
@@ -104,9 +108,9 @@ def test_waiting_times_of_phases_are_those_of_physicell(project):
 
 def test_cells_divide_at_the_volume_that_they_reach_in_physicell(project):
     scene = mc.import_physicell(project()).scene
-    # from V0 to 2 V0 at 0.005/min, for the 780 min of S, G2 and M
+    # from V0 to 2 V0 in the mean time of cytoplasm, nucleus and water, for 780 min of S, G2 and M
     volume = 4.0 / 3.0 * np.pi * scene.cells.division_radius**3
-    assert volume == pytest.approx(2494.0 * (2.0 - np.exp(-0.005 * 780.0)))
+    assert volume == pytest.approx(2494.0 * (2.0 - np.exp(-780.0 / GROWING)))
     assert scene.growth.law == "relaxation"
     assert scene.growth.parameters["target"] * volume == pytest.approx(2.0 * 2494.0)
 
@@ -137,7 +141,8 @@ def test_live_cells_double_after_division(project):
     )
     scene = mc.import_physicell(path).scene
     # the volume from whose half cells come back to it in 300 min, on the way to V0
-    volume, target, rate = 4.0 / 3.0 * np.pi * scene.cells.division_radius**3, 2494.0, 0.005
+    volume, target = 4.0 / 3.0 * np.pi * scene.cells.division_radius**3, 2494.0
+    rate = 1.0 / GROWING
     back = target - (target - 0.5 * volume) * np.exp(-rate * 300.0)
     assert volume == pytest.approx(back, rel=1e-4)
     assert scene.growth.parameters["target"] * volume == pytest.approx(target)
@@ -177,6 +182,63 @@ def test_necrotic_cells_burst_when_they_do_in_physicell(project):
     assert scene.death.swelling_time == pytest.approx(60.0 * found.t_events[0][0], rel=1e-6)
     assert scene.death.lysis_time == pytest.approx(60.0 / 0.001)
     assert scene.death.apoptosis_rate == pytest.approx(1e-6)
+
+
+def test_apoptotic_cells_shrink_in_the_mean_time_of_their_parts(project):
+    """They are removed when the phase ends, with what is left by then: by quadrature."""
+    death = mc.import_physicell(project(ON, rules=RULES)).scene.death
+    rates = np.array([0.05, 1.0 / 60.0, 0.35 / 60.0])  # PhysiCell's for parts without an entry
+    parts = [0.75, 0.25 * (2494 - 540) / 2494, 0.25 * 540 / 2494]
+    gone = solve_ivp(
+        lambda t, y: [*(-rates * y[:3]), y[:3].sum()],
+        (0, 1e4),
+        [*parts, 0.0],
+        rtol=1e-9,
+        atol=1e-12,
+    ).y[-1, -1]
+    assert math.exp(-516.0 / gone) < 0.01 == death.removal_fraction
+    assert death.apoptosis_time == pytest.approx(60.0 * 516.0 / math.log(100.0))
+    slow = (
+        'unlysed_fluid_change_rate units="1/min">0.05<',
+        'unlysed_fluid_change_rate units="1/min">0.0056<',
+    )
+    death = mc.import_physicell(project(ON, slow, rules=RULES)).scene.death
+    gone += 0.75 * (1.0 / 0.0056 - 1.0 / 0.05)
+    assert death.removal_fraction == pytest.approx(math.exp(-516.0 / gone), rel=1e-5)
+    assert death.apoptosis_time == pytest.approx(60.0 * gone, rel=1e-5)
+
+
+def test_chemotaxis_along_a_substance_that_is_not_declared_is_left_out(project):
+    made = mc.import_physicell(project(("<substrate>growth factor<", "<substrate>growth<")))
+    assert made.scene.motility.bias == 0.0
+    assert made.scene.motility.force > 0.0
+    entry = next(e for e in made.entries if e.path.endswith("chemotaxis/substrate"))
+    assert entry.fate is Fate.LEFT_OUT
+    assert "follows no substance of the model" in entry.note
+
+
+def test_a_model_of_no_time_takes_one_step(project):
+    made = mc.import_physicell(project((">60</max_time>", ">0</max_time>")))
+    assert made.scene.duration == 360.0
+    assert fates(made)["overall/max_time"] is Fate.APPROXIMATED
+
+
+def test_adhesion_above_repulsion_lets_cells_rest_near_each_other(project):
+    """PhysiCell's cells fall into one another by it; at 0.99 of it they rest at 0.025 of s."""
+    strong = (
+        '<cell_adhesion_affinity name="tumour cell">1<',
+        '<cell_adhesion_affinity name="tumour cell">40<',
+    )
+    made = mc.import_physicell(project(strong))
+    entry = next(e for e in made.entries if e.path.endswith("affinity[tumour cell]"))
+    assert entry.fate is Fate.APPROXIMATED
+    assert "0.99 of the repulsion with tumour cell" in entry.note
+    pair = pair_of(made.scene, 0, 0, 8.41, 8.41)
+    q = math.sqrt(0.99)
+    rest = pair.rest * (1.0 - q) / (1.0 - q / 1.25)
+    assert pair.force(pair.rest - rest) == pytest.approx(0.0, abs=1e-9)
+    other = mc.import_physicell(project()).scene.types["hunter"].surface_energy
+    assert made.scene.types["hunter"].surface_energy["hunter"] == other["hunter"]
 
 
 def test_what_is_not_said_comes_from_the_parent(project):

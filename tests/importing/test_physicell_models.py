@@ -70,11 +70,14 @@ def test_strong_adhesion_is_physicell_s_own_law(project, strength):
     mc.Simulation(found.scene)  # none of them is refused
 
 
-def test_adhesion_above_repulsion_is_refused_in_words(project):
+def test_adhesion_above_repulsion_is_cut_to_it(project):
     """Their difference attracts at all distances: PhysiCell's own cells end in one point."""
     old = '<cell_cell_adhesion_strength units="micron/min">0.4<'
-    with pytest.raises(mc.SceneError, match="into one another, centre upon centre"):
-        mc.import_physicell(project((old, old.replace("0.4", "40"))))
+    made = mc.import_physicell(project((old, old.replace("0.4", "40"))))
+    (entry,) = [e for e in made.entries if e.value == "40"]
+    assert str(entry.fate) == "approximated"
+    assert entry.note.startswith("0.99 of the repulsion with tumour cell")
+    mc.Simulation(made.scene).step()
 
 
 def test_a_table_is_found_from_the_root_of_physicell(project, tmp_path):

@@ -215,6 +215,14 @@ def test_repulsion(project):
     np.testing.assert_allclose(found, [1.0, 1.0, 1.0, expected], rtol=2e-3)
 
 
+def test_adhesion(project):
+    made = imported(project, "hunter,oxygen,decreases,cell-cell adhesion,0.1,12,2,0")
+    found = values(made, "surface energy", 1.0)
+    expected = hill(0.9, down=[(0.1, 12.0, 2, 10.0)]) / 0.9
+    np.testing.assert_allclose(found, [1.0, 1.0, 1.0, expected], rtol=2e-3)
+    assert 0.3 < expected < 0.9
+
+
 def test_crowding_is_the_simple_pressure_of_physicell(project):
     assert pytest.approx(12.0 * (1.0 - (np.pi / (2.0 * 3.0**0.5)) ** 0.5) ** 2) == FULL_CROWDING
     cells = "".join(f"{x},{y},0,0\n" for x, y in itertools.product((0, 13), (0, 14)))

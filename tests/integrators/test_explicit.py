@@ -113,7 +113,7 @@ def systems_that_need_python():
     still, half = np.zeros(n), np.full(n, 0.5)
     for law, options, extra in (
         (ExactJKR(surface_energy=0.1), {}, {}),
-        (JKR(surface_energy=0.1), {"surface_energies": energies}, {"kind": kind}),
+        (JKR(surface_energy=0.1), {"pair_table": energies}, {"kind": kind}),
         (Hertz(), {"friction": (2.0, 1.0)}, {}),
     ):
         system = Mechanics(law, 5.0, **options)

@@ -162,6 +162,7 @@ def test_what_is_beyond_for_a_moment_is_marked_everywhere(tmp_path, monkeypatch)
     """λ is high at one look and low at all others."""
     rates = iter([0.1, 1.0])
     monkeypatch.setattr(stability, "rate_at", lambda *_: next(rates, 0.1))
+    monkeypatch.setattr("multicell.report.page.PICTURES", {})
     result = mc.run(scene_of("heun", 3.0), output=tmp_path / "out")
     summary = result.summary()
     assert summary["integrator"]["checks_beyond_stability"] == 1

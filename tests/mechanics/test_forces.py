@@ -125,9 +125,7 @@ def test_surface_energy_by_type(law):
     kind = np.random.default_rng(3).integers(0, 2, n)
     matrix = np.array([[0.1, 0.02], [0.02, 0.05]])
     touching = np.sort(cKDTree(position).query_pairs(12.0, output_type="ndarray"), axis=1)
-    made = system(
-        law, radius, young, kind=kind, touching=touching, options={"surface_energies": matrix}
-    )
+    made = system(law, radius, young, kind=kind, touching=touching, options={"pair_table": matrix})
     pairs = Pairs(position, radius, young, law, touching, sigma=matrix[np.ix_(kind, kind)])
     expected = pairs.forces()
     found = made.force(0.0, position)
@@ -139,7 +137,7 @@ def test_one_type_is_the_plain_law():
     position, radius, young = cluster(80, 4)
     alike = system(
         JKR(surface_energy=0.7), radius, young, kind=np.zeros(80, int),
-        options={"surface_energies": np.array([[0.1]])},
+        options={"pair_table": np.array([[0.1]])},
     )  # fmt: skip
     plain = system(JKR(surface_energy=0.1), radius, young)
     assert np.array_equal(alike.force(0.0, position), plain.force(0.0, position))

@@ -38,7 +38,8 @@ def _scene(own=kept, **changes):
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    return mc.run(_scene(), output=tmp_path_factory.mktemp("run") / "out", threads=1)
+    folder = tmp_path_factory.mktemp("run") / "out"
+    return mc.run(_scene(), output=folder, threads=1, report=False)
 
 
 def _states(simulation, ids):
@@ -114,7 +115,10 @@ def test_values_of_networks_that_do_not_fit_are_refused(run):
 def test_the_view_has_states_and_says_where_there_are_none(tmp_path):
     scene = _scene(types={"a": {}, "b": {}}, duration="1 h")
     run = mc.run(
-        scene.with_changes({"networks.hif.cells": "a"}), output=tmp_path / "out", threads=1
+        scene.with_changes({"networks.hif.cells": "a"}),
+        output=tmp_path / "out",
+        threads=1,
+        report=False,
     )
     about = pack_frames(run).about
     (column,) = (one for one in about["columns"] if one["name"] == "hif.HIF1")
@@ -126,7 +130,8 @@ def test_the_view_has_states_and_says_where_there_are_none(tmp_path):
     assert column["low"] + step == pytest.approx(np.nanmin(values))
     assert column["high"] == pytest.approx(np.nanmax(values))
     assert shades["low"] >= np.nanmin(values)
-    whole = pack_frames(mc.run(scene, output=tmp_path / "whole", threads=1)).about
+    whole = mc.run(scene, output=tmp_path / "whole", threads=1, report=False)
+    whole = pack_frames(whole).about
     (column,) = (one for one in whole["columns"] if one["name"] == "hif.HIF1")
     assert "gaps" not in column
 

@@ -18,6 +18,7 @@ main(sys.argv[1:])
 """
 
 
+@pytest.mark.slow
 def test_cells_without_oxygen_lose_each_other():
     ends = {}
     for name, media in (("little", [["1 h", "1 %"]]), ("plenty", [["1 h", "8 %"]])):

@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
+from network_models import WRITTEN
 
 import multicell as mc
 from multicell.biology.inside import _binomial
+from multicell.biology.responding import _weighted
 from multicell.errors import SceneError, StepFailed
 from multicell.networks.custom import network
 
@@ -158,6 +161,49 @@ def test_a_cell_without_neighbours_finds_none_and_the_sum_counts_them():
     np.testing.assert_allclose(around, [1.0, 1.0, 2.0], rtol=1e-3)
 
 
+def test_neighbours_count_by_the_area_of_their_contact_where_asked():
+    # radii 6, 5, 4 in a row; contacts of overlap 1 and 0.5: A = π h R r / (R + r)
+    names = [
+        f"{word}neighbours.pair.A" for word in ("", "sum of ", "weighted ", "weighted sum of ")
+    ]
+    table = {"network": exchanged, "inputs": {"around": names[0]}}
+    count = {"initial.count": 3, "initial.shape": "row"}
+    scene = mc.load_scene("growth").with_changes({**STILL, **count, "networks": {"pair": table}})
+    simulation = mc.Simulation(scene, threads=1)
+    cells, networks = simulation.cells, simulation.plan.networks
+    cells.position[:] = [[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [18.5, 0.0, 0.0]]
+    cells.radius[:] = [6.0, 5.0, 4.0]
+    cells.inside[:, networks.columns.index("pair.A")] = values = np.array([2.0, 3.0, 7.0])
+    contacts = np.array([[cells.id[0], cells.id[1]], [cells.id[1], cells.id[2]]])
+    pairs = partial(_weighted, cells, None, contacts)
+    found = networks.signals(names, cells, 0.0, pairs)
+    one, other = np.pi * 1.0 * 30.0 / 11.0, np.pi * 0.5 * 20.0 / 9.0
+    total = np.array([one * values[1], one * 2.0 + other * 7.0, other * values[1]])
+    np.testing.assert_allclose(found[names[0]], [3.0, 4.5, 3.0])
+    np.testing.assert_allclose(found[names[1]], [3.0, 9.0, 3.0])
+    np.testing.assert_allclose(found[names[2]], total / [one, one + other, other])
+    np.testing.assert_allclose(found[names[3]], total)
+
+
+def test_an_input_may_be_weighted_and_other_names_are_refused():
+    own = {"network": exchanged, "inputs": {"around": "weighted neighbours.pair.A"}}
+    row = _run({**STILL, "initial.spacing": 0.9, "duration": "1 s"}, pair=own)
+    np.testing.assert_allclose(_column(row, "pair.~input around"), 1.0, rtol=1e-3)
+    own["inputs"] = {"around": "weighted pair.A"}
+    with pytest.raises(SceneError, match="no signal here"):
+        _run(STILL, pair=own)
+
+
+def test_what_is_wrong_with_a_network_is_said_of_that_one(tmp_path):
+    (tmp_path / "hif.ant").write_text(WRITTEN)
+    networks = {
+        "first": {"network": exchanged, "inputs": {"around": "hif.HIF"}},
+        "hif": {"file": str(tmp_path / "hif.ant"), "inputs": {"O3": "time"}},
+    }
+    with pytest.raises(SceneError, match=r"^networks\.hif\.file: .*'O3'.*'O2'"):
+        mc.load_scene("growth").with_changes({**STILL, "networks": networks})
+
+
 def test_drawn_parameters_are_those_of_the_cell():
     own = {"network": relax, "parameters": {"k": {"mean": 2e-4, "variation": 0.3}}}
     scene = mc.load_scene("growth").with_changes({**LINE, "networks": {"relax": own}})
@@ -272,7 +318,7 @@ def test_a_network_that_cannot_be_solved_ends_the_step_with_the_cell():
 def test_history_summary_and_tables_have_the_states(tmp_path):
     scene = mc.load_scene("growth").with_changes({**LINE, "networks": {"relax": {
         "network": relax, "inputs": {"source": "time"}}}})  # fmt: skip
-    result = mc.run(scene, output=tmp_path / "out", threads=1)
+    result = mc.run(scene, output=tmp_path / "out", threads=1, report=False)
     frame = result.frames[-1]
     assert frame.inside["relax.A"].shape == (len(frame.cells),)
     assert result.history["network_mean_relax_A"][-1] == frame.inside["relax.A"].mean()

@@ -197,7 +197,7 @@ def test_a_field_that_fades_costs_no_steps_once_it_is_gone(monkeypatch):
     )
     drug = {
         "boundary": 0.067, "media": [["1 min", 0.0]], "regime": "transient",
-        "uptake": 0.0, "diffusion": 667.0, "spacing": 8.0, "margin": 48.0,
+        "uptake": 1e-6, "diffusion": 667.0, "spacing": 8.0, "margin": 48.0,
     }  # fmt: skip
     still = {"growth": None, "initial": {"count": 1}}
     described = scene(drug, duration="1 h", coupling_step="30 min", **still)

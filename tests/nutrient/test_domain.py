@@ -228,6 +228,7 @@ def grown(**changes):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_tissue_that_grows_in_a_box_stays_in_it_and_takes_its_shape():
     simulation = finished(grown())
     cells = simulation.cells

@@ -71,6 +71,7 @@ def test_positions_outside_are_refused(bad):
         gather(BOX, position, np.ones(SHAPE))
 
 
+@pytest.mark.slow
 def test_read_only_arrays_and_no_cells_are_fine():
     position, values = points(4), np.ones(SHAPE)
     position.flags.writeable = values.flags.writeable = False

@@ -121,6 +121,7 @@ def test_what_breaks_a_promise_is_refused(rate, options, words):
         mc.reaction(**{"fields": ("a", "b"), **options})(rate)
 
 
+@pytest.mark.slow
 def test_compiled_code_is_found_again_in_another_process(tmp_path):
     source = """
         import multicell as mc

@@ -58,6 +58,7 @@ def test_medium_over_it_supply_from_above_or_no_uptake_will_do(keys):
     assert plane(**keys).nutrients["oxygen"].height == (2000.0 if "height" in keys else None)
 
 
+@pytest.mark.slow
 def test_a_monolayer_under_two_millimetres_of_air_saturated_medium_lives():
     scene = plane(height="2 mm")
     simulation = mc.Simulation(scene)

@@ -1,6 +1,7 @@
 """Every picture that the package draws: no text is clipped, covered, or smaller than 7 pt."""
 
 import ast
+import itertools
 from functools import cache
 from pathlib import Path
 
@@ -16,6 +17,8 @@ import multicell as mc
 from multicell.calibration.sensitivity.analysis import sample_sensitivity as indices_of
 from multicell.calibration.sensitivity.indices import sample
 from multicell.calibration.sensitivity.result import SobolIndices
+from multicell.comparison.stability_limits.failure_map import FailureMap
+from multicell.comparison.stability_limits.failures import STEP_ENDS
 from multicell.report.plots.colouring import colouring
 from multicell.report.plots.run import Plots
 from multicell.report.plots.space import View, film_picture, room
@@ -119,6 +122,29 @@ def film(frame):
 
 FEW = mc.load_scene("settle").with_changes({"initial.count": 12})
 DOUBLET = {"pull.force": "2.25 nN", "output.every": "10 s", "coupling_step": "2 s"}
+
+
+def failures(states, methods):
+    """Draw a map with all kinds of ends."""
+    kinds, numbers = list(STEP_ENDS), itertools.count()
+    rows = [
+        {
+            "state": f"exact-jkr at {s} h",
+            "method": f"rk4-adaptive-{m}",
+            "control": "tolerance",
+            "setting": atol,
+            "kind": kinds[next(numbers) % len(kinds)],
+            "ratio": 10.0 ** (m - 4),
+            "null_ratio": 1234.0,
+            "words": "",
+        }
+        for s in range(states)
+        for m in range(methods)
+        for atol in (0.001, 0.01, 0.1)
+    ]
+    return FailureMap(FEW, rows, {}).figure()
+
+
 PICTURES = {
     "growth": [lambda: grown().growth(), lambda: fields(3).plot.growth()],
     "motion": [lambda: run("settle", **{"initial.count": 20}).plot.growth()],
@@ -142,6 +168,7 @@ PICTURES = {
                       lambda: comparison(20).figure()],
     "spheroids": [tissues],
     "stability_map": [lambda: mc.stability(FEW, ["euler"], threads=1).figure()],
+    "failure_figure": [lambda: failures(2, 3), lambda: failures(6, 14)],
     "indices": [lambda: sensitivity().plot("diameter")],
     "data": [lambda: fit().data()],
     "parameters": [lambda: fit().parameters()],

@@ -137,6 +137,7 @@ def test_netcdf_history_and_frames(run, tmp_path):
             np.testing.assert_array_equal(data["x_oxygen"], oxygen.axis(0))
 
 
+@pytest.mark.slow
 def test_openvt_tables_have_columns_and_units_of_its_frameworks(run, tmp_path):
     files = mc.export(run, tmp_path / "space", format="openvt")
     assert {file.name for file in files} == {

@@ -65,6 +65,7 @@ def test_a_full_disk_ends_no_process(name, sources, forks, small_disk, pytestcon
     assert stopped
 
 
+@pytest.mark.slow
 def test_a_table_is_the_one_that_xarray_would_write(sources, tmp_path):
     place, _ = sources
     table = mc.load_study(place / "study_table").to_xarray()

@@ -25,6 +25,12 @@ from multicell.runner import RunOptions, record_run
 SMALL = mc.load_scene("growth").with_changes({"initial.count": 20, "duration": "1 h"})
 
 
+@pytest.fixture(autouse=True)
+def no_pictures(monkeypatch):
+    """Let reports have no pictures: most of their time goes into them."""
+    monkeypatch.setattr("multicell.report.page.PICTURES", {})
+
+
 def rgb(colour):
     return tuple(int(colour[k : k + 2], 16) for k in (1, 3, 5))
 

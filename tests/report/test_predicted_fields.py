@@ -9,7 +9,8 @@ from multicell.simulation import Simulation
 
 
 def secreting(**changes):
-    field = {"regime": "transient", "boundary": 0, "uptake": 0, "secretion": "0.01 amol/s",
+    """Return a scene whose field is all but linear: cells take up some, so that it needs steps."""
+    field = {"regime": "transient", "boundary": 0, "uptake": 1e-9, "secretion": "0.01 amol/s",
              "diffusion": "10 um^2/s", "spacing": "10 um"}  # fmt: skip
     scene = mc.Scene.from_dict(
         {"duration": "90 min", "coupling_step": "10 min", "growth": {"cycle_time": "15 h"},
@@ -60,3 +61,13 @@ def test_a_transient_field_costs_what_its_solutions_do():
     made = cost.solutions(scene, "signal", cost.predict(scene).course, 9.0)
     nodes = float(cost._nodes(scene, "signal", cost.predict(scene).course.radius).min())
     assert more > 1e-7 * nodes * (made - 2.0 * 9.0)
+
+
+def test_a_linear_field_is_expected_to_cost_no_steps(monkeypatch):
+    scene = secreting()
+    linear = scene.with_changes({"nutrients.signal.uptake": 0})
+    steps, exact = cost.predict(scene).seconds, cost.predict(linear).seconds
+    bare = cost.predict(scene.with_changes({"nutrients": {}})).seconds
+    assert exact - bare < 0.2 * (steps - bare)
+    monkeypatch.setattr(MarchFieldSolver, "_march", None)  # not called
+    Simulation(linear, threads=1).step()

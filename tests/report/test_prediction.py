@@ -44,11 +44,32 @@ def test_cells_memory_and_files_are_foretold_within_a_factor_of_two(case):
 
 def test_growth_that_nothing_limits_is_exponential():
     scene = mc.load_scene("growth")
+    scene = scene.with_changes({"initial.stage": "asynchronous"})
     found = expected_course(scene.with_changes({"growth.cycle_variation": 0.0}))
     np.testing.assert_allclose(found.cells, 2.0 ** (found.times / (15 * 3600.0)), rtol=1e-9)
     # cycles that vary by v add (1 + v² ln2 / 2) to the rate to leading order
     rate = np.log(expected_course(scene).cells[-1]) / np.log(found.cells[-1])
     assert rate == pytest.approx(1.0 + 0.01 * 0.5 * math.log(2.0), abs=2e-4)
+
+
+def test_cells_that_begin_newborn_are_fewer_by_what_they_lack():
+    """Their number is a staircase 2^floor(t/T), whose mean over a cycle is 2^(t/T) / (2 ln 2)."""
+    scene = mc.load_scene("growth").with_changes(
+        {"growth.cycle_variation": 0.0, "initial": {"count": 5}, "duration": "10 d"}
+    )
+    found, cycle = expected_course(scene), 15 * 3600.0
+    whole = found.times >= found.times[-1] - 8.0 * cycle
+    stairs = 5.0 * 2.0 ** np.floor(np.linspace(0.0, 8.0, 80_000, endpoint=False))
+    smooth = 5.0 * 2.0 ** np.linspace(0.0, 8.0, 80_000)
+    expected = (stairs / smooth).mean()
+    ratio = found.cells / (5.0 * 2.0 ** (found.times / cycle))
+    np.testing.assert_allclose(ratio[whole], expected, rtol=1e-4)
+    assert found.cells[0] == 5.0
+    assert (np.diff(found.cells) >= 0.0).all()
+    aged = expected_course(scene.with_changes({"initial.stage": "asynchronous"}))
+    assert found.cells[-1] == pytest.approx(aged.cells[-1] / (2.0 * math.log(2.0)))
+    # a newborn cell has so much of the volume of a mean one, too
+    assert found.radius[0] == pytest.approx(aged.radius[0] * (0.5 / math.log(2.0)) ** (1 / 3))
 
 
 def test_tissue_that_starves_at_once_leaves_nobody():

@@ -82,6 +82,7 @@ def test_cells_at_one_place_are_told_apart_without_their_pairs():
     assert np.flatnonzero(moved).tolist() == list(range(100, 20_000))
 
 
+@pytest.mark.slow
 def test_a_crowd_that_is_handed_over_is_refused_in_words():
     scene = mc.load_scene("settle").with_changes({"initial.count": 20_000, "duration": "1 min"})
     cells = initial_cells(scene)

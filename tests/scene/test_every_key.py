@@ -21,9 +21,15 @@ ALONE = {"dimensions": "plane"}
 TOGETHER = {"growth.law": {"growth.parameters": None, "growth.phases.G2.target_scale": None}}
 """Keys that can change only with others, and how these change: those of one law go with it."""
 
-OWN = ("initial.cells.", "networks.", "output.observables.", "responses.*.parameters")
-"""Keys for files and code of users: test_start_table, test_inside, test_own_observable,
-test_responses."""
+OWN = (
+    "initial.cells.",
+    "networks.",
+    "nutrients.*.initial_file.",
+    "output.observables.",
+    "responses.*.parameters",
+)
+"""Keys for files and code of users: test_start_table, test_inside, test_initial_files,
+test_own_observable, test_responses."""
 
 BASES = dict(bases())
 ALWAYS = ("2D, hertz", "stop", "plane", "drifting")

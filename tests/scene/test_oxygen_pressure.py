@@ -30,6 +30,17 @@ def test_a_pressure_becomes_a_concentration(text):
     assert cool > 1.2 * found
 
 
+@pytest.mark.parametrize("name", ["O2", "o2", "pO2", "Oxygen"])
+def test_oxygen_has_the_names_that_people_give_it(name):
+    found = scene(name, boundary="40 mmHg", temperature=20).nutrients[name].boundary
+    assert found == pytest.approx(40 * MMHG * oxygen_solubility(20.0), rel=1e-5)
+    with pytest.raises(SceneError, match=rf"nutrients\.{name}\.boundary: is 21 mM, but under pure"):
+        scene(name, boundary=21)
+    with pytest.raises(SceneError, match="Only of the field named 'oxygen'"):
+        scene(f"{name}_2", boundary="40 mmHg")
+    assert scene("glucose", boundary=21).nutrients["glucose"].boundary == 21.0
+
+
 def test_as_a_level_of_other_parts_of_a_scene():
     cool = 20.0
     made = Scene.from_dict(

@@ -135,7 +135,8 @@ def test_distance_of_two_cells_follows_from_their_diameter(dimensions):
 
 
 @BOTH
-def test_a_rim_without_a_core_is_absent_everywhere(dimensions, tmp_path):
+def test_a_rim_without_a_core_is_absent_everywhere(dimensions, tmp_path, monkeypatch):
+    monkeypatch.setattr("multicell.report.page.PICTURES", {})
     scene = mc.Scene.from_dict(
         {"duration": "20 min", "dimensions": dimensions, "initial": {"count": 12}}
     )

@@ -167,6 +167,7 @@ REFUSED = {
     "no z": ("x_um,y_um\n0,0\n", "mine.csv: has no column for z"),
     "negative radius": ("x_um,y_um,z_um,radius_um\n0,0,0,4\n9,0,0,-4\n", "mine.csv, line 3, 'radius_um': is -4, must be above 0"),
     "large radius": ("x_um,y_um,z_um,radius_um\n0,0,0,4\n\n9,0,0,5.1\n", "mine.csv, line 4, 'radius_um': is 5.1, beyond the radius of a dividing cell, 5 um. Set cells.division_radius"),
+    "giant radius": ("x_um,y_um,z_um,radius_um\n0,0,0,4\n99,0,0,9000\n", "mine.csv, line 3, 'radius_um': is 9000, beyond the radius of a dividing cell, 5 um. Set cells.division_radius"),
     "type": ("x_um,y_um,z_um,type\n0,0,0,soft\n9,0,0,sofd\n", "mine.csv, line 3, 'type': is 'sofd', no type of this scene. Did you mean 'soft'?"),
     "state": ("x_um,y_um,z_um,state\n0,0,0,dead\n", "mine.csv, line 2, 'state': is 'dead', no state. "),
     "phase": ("x_um,y_um,z_um,phase\n0,0,0,g1\n", "mine.csv, line 2, 'phase': is 'g1', no phase. Did you mean 'G1'?"),

@@ -20,9 +20,23 @@ SCENES = {
         "nutrients.oxygen.spacing": "12 um",
     },
     "sorting-signal": {"duration": "30 min", "initial.count": 40},
+    "doublet": {
+        "nutrients.signal": {
+            "boundary": 0,
+            "uptake": 0,
+            "secretion": "0.01 amol/s",
+            "diffusion": "10 um^2/s",
+            "spacing": "10 um",
+            "margin": "50 um",
+            "regime": "transient",
+        },
+        "duration": "10 min",
+        "integrator": "rkc2",
+        "pull": None,
+    },
 }
 NUMBERS = {
-    9: {
+    10: {
         "growth": {"cells": 4, "volume": 1413.2421188721537, "distance": 8.122308148674017},
         "spheroid": {
             "cells": 70,
@@ -36,9 +50,15 @@ NUMBERS = {
             "distance": 90.68791670910525,
             "factor": 2.3504899393007368e-07,
         },
+        "doublet": {
+            "cells": 2,
+            "volume": 8379.15539468978,
+            "distance": 12.14720884896446,
+            "signal": 9.44225578751764e-06,
+        },
     }
 }
-AVX512: dict[int, dict[str, dict[str, float]]] = {9: {}}
+AVX512: dict[int, dict[str, dict[str, float]]] = {10: {}}
 """Where the last digits of NumPy's functions, which differ on such processors, decide of a step."""
 
 

@@ -96,3 +96,80 @@ def test_the_pattern_of_lateral_inhibition_alternates(compare):
     assert (high[1:] != high[:-1]).all()
     off = np.abs(delta - high).max()
     compare.deviation("lateral inhibition, pattern after 48 h: Delta", "1, 0, 1, 0, …", off, 0.05)
+
+
+def sheet_of(side):
+    """Return a periodic sheet of hexagons, (table, domain, colours): three that do not meet."""
+    column, line = (x.ravel() for x in np.mgrid[:side, :side])
+    place = 9.0 * np.stack([column + 0.5 * (line % 2), math.sqrt(0.75) * line], axis=1)
+    table = {
+        "position_x_um": place[:, 0], "position_y_um": place[:, 1],
+        "position_z_um": np.zeros(side**2), "radius_um": np.full(side**2, 5.0),
+    }  # fmt: skip
+    lengths = {"x": [0.0, 9.0 * side], "y": [0.0, 9.0 * math.sqrt(0.75) * side]}
+    domain = {**lengths, "z": [-50.0, 50.0], "periodic": ["x", "y"]}
+    return table, domain, (column - line // 2 - line) % 3
+
+
+def spread(a, hours, deviation, side=6):
+    """Return Delta in a sheet of cells in each step, from a disturbed steady state."""
+    model, n, d, _ = collier(a)
+    table, domain, colours = sheet_of(side)
+    part = {"network": model, "inputs": {"around": "neighbours.notch.D"}, "tolerance": 1e-9}
+    scene = mc.load_scene("growth").with_changes({
+        "duration": hours * 3600.0, "coupling_step": STEP, "growth": None, "domain": domain,
+        "contact.surface_energy": 0.0, "networks": {"notch": part},
+    })  # fmt: skip
+    simulation = mc.Simulation(scene, cells=table, threads=1)
+    cells = simulation.cells
+    row = cells.rows_of(np.arange(side**2))
+    inside = cells.inside.copy()
+    # the mean over the neighbours of the first colour is minus a half of it
+    one = np.select([colours == 0, colours == 1], deviation, -sum(deviation))
+    inside[:, 0] = n
+    inside[row, 1], inside[row, 2] = d * (1.0 + one), d * (1.0 - 0.5 * one)
+    cells.inside = inside
+    found = []
+    while not simulation.finished:
+        simulation.step()
+        row = simulation.cells.rows_of(np.arange(side**2))
+        found.append(simulation.cells.inside[row, 1])
+    return np.array(found), colours, d
+
+
+def strength_of(slope):
+    """Return the a at which the product of the slopes is this."""
+    low, high = 0.1, 50.0
+    for _ in range(100):
+        a = math.sqrt(low * high)
+        low, high = (a, high) if collier(a)[3] < slope else (low, a)
+    return a
+
+
+@pytest.mark.parametrize("slope", [-1.6, -2.4])
+def test_a_sheet_is_unstable_where_the_theory_of_collier_says(compare, slope):
+    # the sheet's lowest mode has three colours, and the mean of neighbours is -1/2 of a cell
+    a = strength_of(slope)
+    assert collier(a)[3] == pytest.approx(slope, rel=1e-6)
+    found, colours, d = spread(a, 6.0, (1e-3, -5e-4))
+    size = np.abs(found[:, colours == 0] - d).mean(axis=1)
+    time = np.arange(1, len(found) + 1) * STEP / 3600.0
+    rate = np.polyfit(time[8:], np.log(size[8:]), 1)[0]
+    want = -1.0 + math.sqrt(-0.5 * slope)
+    assert (rate > 0.0) == (slope < -2.0)
+    compare.value(f"lateral inhibition on a sheet, F'G' = {slope:g}: growth rate", want, rate, 0.01,
+                  "1/h")  # fmt: skip
+
+
+def test_the_pattern_of_a_sheet_has_the_wavelength_of_its_lowest_mode(compare):
+    found, _, _ = spread(0.01, 60.0, (1e-3, -5e-4))
+    high = found[-1] > 0.5
+    assert high.mean() == pytest.approx(1.0 / 3.0)
+    place = np.stack([sheet_of(6)[0][f"position_{axis}_um"] for axis in "xy"], axis=1)[high]
+    sizes = 9.0 * 6 * np.array([1.0, math.sqrt(0.75)])
+    way = place[:, None] - place
+    way -= sizes * np.round(way / sizes)
+    apart = np.linalg.norm(way, axis=2) + 1e9 * np.eye(len(place))
+    what = "lateral inhibition on a sheet: cells with Delta apart, over the distance of neighbours"
+    compare.value(what, math.sqrt(3.0), float(apart.min(axis=1).mean()) / 9.0, 1e-9)
+    assert np.ptp(apart.min(axis=1)) < 1e-9

@@ -33,7 +33,7 @@ from multicell.calibration.shared.wording import value_in_words
 from multicell.errors import FitFailed
 from multicell.host.extras import needs
 from multicell.measured.noise import Array
-from multicell.report.wording import time_unit
+from multicell.report.wording import TimeUnit, time_unit
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -206,6 +206,19 @@ class FitNumbers:
         freedom = max(1, len(self.best.residuals) - len(self.problem.ranges))
         return float(chi2.sf(self.best.chi_squared, freedom))
 
+    @cached_property
+    def _time_unit(self) -> TimeUnit:
+        times = [datum.time or 0.0 for datum in self.problem.measured.data]
+        return time_unit(max(times, default=0.0))
+
+    def _title(self, datum: Datum) -> str:
+        """Return the title of the readings of a datum, with its time in a unit that suits all."""
+        deep = "" if datum.depth is None else f" {datum.depth:g} um deep"
+        name = f"{datum.observable}{deep}"
+        if datum.time is None:
+            return f"{name} at the end"
+        return f"{name} at {self._time_unit.text(datum.time)}"
+
     @property
     def misfit(self) -> str:
         """In words that the scene does not fit the data, and which; empty if it does."""
@@ -214,7 +227,8 @@ class FitNumbers:
         best, data = self.best, self.problem.measured.data
         worst = np.argsort(-np.abs(best.residuals))[:3]
         said = ", ".join(
-            f"{_title(data[k])} ({data[k].place}) by {best.residuals[k]:+.3g} sd" for k in worst
+            f"{self._title(data[k])} ({data[k].place}) by {best.residuals[k]:+.3g} sd"
+            for k in worst
         )
         return (
             f"The scene does not fit the data: χ² is {best.chi_squared:.4g} for {len(data)} data, "
@@ -320,7 +334,7 @@ class FitNumbers:
 
         Columns are ``point``, ``stage`` (``"search"``, or ``"fresh"`` for seeds that had no part in
         it), ``condition``, ``seed``, the parameters, a column for each reading as
-        ``diameter at 48 h``, and ``reason`` where a run failed; base units.
+        ``diameter at 2 d``, and ``reason`` where a run failed; base units.
         """
         needs("pandas")
         import pandas
@@ -330,7 +344,7 @@ class FitNumbers:
     def run_rows(self) -> list[dict[str, Any]]:
         """Return the runs one by one; see :attr:`runs`."""
         problem, found = self.problem, []
-        columns = list(dict.fromkeys(map(_title, problem.measured.data)))
+        columns = list(dict.fromkeys(map(self._title, problem.measured.data)))
         numbers: dict[tuple[float, ...], int] = {}
         for (shares, condition, seed), reading in self.readings.items():
             values = problem.values(shares)
@@ -342,7 +356,7 @@ class FitNumbers:
                 **{free.name: values[free.key] for free in problem.ranges},
                 **dict.fromkeys(columns, np.nan),
             }
-            titles = map(_title, problem.measured.of(condition))
+            titles = map(self._title, problem.measured.of(condition))
             row.update(zip(titles, reading.values, strict=True))
             found.append({**row, "reason": reading.reason})
         return found
@@ -422,12 +436,3 @@ def _emulator_notes(checks: Checks, data: Sequence[Datum]) -> list[str]:
             "budget makes them narrower."
         )
     return notes
-
-
-def _title(datum: Datum) -> str:
-    """Return the title of the readings of a datum."""
-    deep = "" if datum.depth is None else f" {datum.depth:g} um deep"
-    name = f"{datum.observable}{deep}"
-    if datum.time is None:
-        return f"{name} at the end"
-    return f"{name} at {time_unit(datum.time).text(datum.time)}"

@@ -55,7 +55,7 @@ def write_fit_report(fit: FitNumbers, folder: str | Path | None = None) -> Path:
         undetermined=[str(entry) for entry in fit.undetermined],
         notes=[note for note in fit.notes if note != fit.misfit],
         emulated=fit.sample is not None,
-        rows=_rows(fit),
+        rows=data_in_words(fit),
         checked=_checked(fit),
     )
 
@@ -113,13 +113,14 @@ def parameters_in_words(fit: FitNumbers) -> list[dict[str, str]]:
     return rows
 
 
-def _rows(fit: FitNumbers) -> list[dict[str, Any]]:
+def data_in_words(fit: FitNumbers) -> list[dict[str, Any]]:
     """Return the data one by one in words."""
     rows = fit.rows()
+    unit = time_unit(max((row["time"] for row in rows if row["time"] == row["time"]), default=0.0))
     for row in rows:
         row["unit"] = written(row["unit"])
         row["when"] = "at the end"
         if row["time"] == row["time"]:
-            row["when"] = time_unit(row["time"]).text(row["time"])
+            row["when"] = unit.text(row["time"])
         row["tissues"] = "their mean" if math.isinf(row["tissues"]) else f"{row['tissues']:g}"
     return rows

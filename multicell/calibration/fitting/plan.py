@@ -19,7 +19,7 @@ from multicell.calibration.fitting.search import SEARCH
 from multicell.errors import OutputError
 from multicell.results.documents import Lines, read_document, write_table
 from multicell.results.folder import (
-    copied_networks,
+    copied_files,
     copy_of,
     file_errors,
     is_begun,
@@ -152,7 +152,7 @@ class FitPlan:
             )
         with lock_folder(folder):
             if overwrite:
-                remove(folder, (*FIT_FILES, *copied_networks(folder)))
+                remove(folder, (*FIT_FILES, *copied_files(folder)))
             new = _read_fit(folder) is None
             for name, content in self._first(folder).items():
                 if new or not _holds(folder / name, content):  # damaged since, or changed

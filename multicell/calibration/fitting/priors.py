@@ -28,6 +28,7 @@ import numpy as np
 from multicell.calibration.fitting.constraints import NO_CONSTRAINTS, Constraints, values_at
 from multicell.errors import SceneError
 from multicell.measured.noise import Array
+from multicell.scene.oxygen import is_oxygen
 from multicell.scene.scene import Scene
 from multicell.studies.axes import QUANTITY, Range, is_numeric
 from multicell.studies.keys import Key, key_of
@@ -237,7 +238,7 @@ def _number(key: Key, text: str, bare: bool) -> float:
     try:
         return to_base(text, key.unit, key.name)
     except SceneError:
-        if "oxygen" not in key.name:
+        if not any(map(is_oxygen, key.name.split("."))):
             raise
         return float(key.plain(text))  # a pressure, or a part of air
 

@@ -6,8 +6,9 @@ runs that v holds besides (:mod:`multicell.calibration.fitting.problem`). A sear
 the likeliest φ, which for s = 0 is n ln Σ r² in place of Σ r². The fit itself takes φ from the
 residuals of its best point less the degrees of freedom that its p parameters have used, p n/N for
 n of N data, and gives parameters Student tails with what is left, as in linear regression.
-Beforehand all logarithms of φ are equally likely: for s = 0 draws of φ² are those of a scaled
-inverse χ².
+Beforehand a logarithm of φ is as likely as the root of its information, Σ (φ²/(φ² + s²))², after
+Jeffreys (1946): for s = 0 all are, and draws of φ² are those of a scaled inverse χ². Equal chances
+for s > 0 would favour factors far below s, of which data say nothing.
 """
 
 from __future__ import annotations
@@ -103,10 +104,12 @@ def drawn_factors(problem: FitProblem, residuals: Array, others: Array) -> dict[
             middle[:, None] + np.linspace(-2.0 * reach, 2.0 * reach, _FACTORS),
             *(2.0 * np.log(LEAST_FACTOR) * np.array([1.0, -1.0])),
         )
-        chance = np.zeros_like(logs)
+        chance, information = np.zeros_like(logs), np.zeros_like(logs)
         for squares, other in zip(own.T, more.T, strict=True):  # a datum at a time: memory
             total = np.exp(logs) + other[:, None]
             chance -= 0.5 * (squares[:, None] / total + np.log(total))
+            information += (np.exp(logs) / total) ** 2
+        chance += 0.5 * np.log(information)
         weights = np.exp(chance - chance.max(axis=1, keepdims=True))
         weights[:, 1:][np.diff(logs, axis=1) == 0.0] = 0.0  # beyond the ends there is nothing
         sums = np.cumsum(weights, axis=1)

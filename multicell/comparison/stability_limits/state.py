@@ -7,6 +7,7 @@ method under which it rises is wrong.
 from __future__ import annotations
 
 import bisect
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, final
 
@@ -204,14 +205,39 @@ def largest_decay(
     system.linearise(system.motion.begin, position)
     dimensions = 2 if flat else 3
     growth = symmetric_product(system, dimensions)
-    symmetric, size = max(system.friction) == 0.0, dimensions * len(position)
+    value, vector = _foremost(lambda v: -growth(v), system, dimensions, dense)
+    if not value > 0.0:
+        raise SceneError("", "no cells touch: there is no motion whose stability can be lost")
+    mode = np.zeros_like(position)
+    mode[:, :dimensions] = vector.reshape(-1, dimensions)
+    return value, mode / np.sqrt(system.motion.radius)[:, None]
 
-    def product(vector: FloatArray) -> FloatArray:
-        return -growth(np.ravel(vector))
 
+def largest_growth(
+    system: Mechanics, time: float, position: FloatArray, flat: bool = False, dense: int = 150
+) -> float:
+    """Return the largest growth rate of the linearised motion, 1/s, as :func:`largest_decay`.
+
+    Positive where a small displacement grows: cells whose contacts are pressed and may turn aside,
+    contacts that form, or exact JKR contacts near their end.
+    """
+    system.linearise(time, position)
+    dimensions = 2 if flat else 3
+    return _foremost(symmetric_product(system, dimensions), system, dimensions, dense)[0]
+
+
+def _foremost(
+    product: Callable[[FloatArray], FloatArray], system: Mechanics, dimensions: int, dense: int
+) -> tuple[float, FloatArray]:
+    """Return the largest real eigenvalue of an operator, and its vector."""
+    size, symmetric = dimensions * len(system), max(system.friction) == 0.0
     values: Any
-    if len(position) >= dense:
-        operator = LinearOperator((size, size), matvec=product, dtype=float)
+    if len(system) >= dense:
+
+        def raveled(vector: FloatArray) -> FloatArray:
+            return product(np.ravel(vector))
+
+        operator = LinearOperator((size, size), matvec=raveled, dtype=float)
         # a fixed start: the same state gives the same mode
         start = np.random.default_rng(0).normal(size=size)
         find, which, tol = (eigsh, "LA", 1e-8) if symmetric else (eigs, "LR", 1e-4)
@@ -221,9 +247,4 @@ def largest_decay(
         find = np.linalg.eigh if symmetric else np.linalg.eig
         values, modes = find(0.5 * (matrix + matrix.T) if symmetric else matrix)
     last = int(values.real.argmax())
-    value = float(values[last].real)
-    if not value > 0.0:
-        raise SceneError("", "no cells touch: there is no motion whose stability can be lost")
-    mode = np.zeros_like(position)
-    mode[:, :dimensions] = modes[:, last].real.reshape(-1, dimensions)
-    return value, mode / np.sqrt(system.motion.radius)[:, None]
+    return float(values[last].real), np.asarray(modes[:, last].real)

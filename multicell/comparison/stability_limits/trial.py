@@ -39,7 +39,7 @@ TRIAL_ENDS: Final = {
 TRIAL_STEPS: Final = 200  # steps that a method with a fixed step takes in a trial
 
 _WINDOWS, _CONTROLLED_LENGTH = 8, 2000.0  # of methods under error control; time in 1/λ_max
-_THROWN = re.compile("would move|not a number|on top of each other|not finite")
+THROWN: Final = re.compile("would move|not a number|on top of each other|not finite")
 _MAX_PAIR_ERROR = 0.05  # pair distances off by more are wrong, in radii
 _SHORT = 1e-3  # of a step, for what must not be timed
 _RISE_NOTICED = (MIN_NOTICED / PUSH) ** 2
@@ -135,7 +135,7 @@ def judge(state: TrialState, trace: Trace) -> tuple[str, str]:
     rest = state.energy(trace.end, true_end)
     released = max(trace.energy[0] - rest, 0.0)
     noticed = max(_RISE_NOTICED * released, 1e-12 * state.energy_unit)
-    if trace.out_of_bounds or _THROWN.search(problem):
+    if trace.out_of_bounds or THROWN.search(problem):
         return BLOW_UP, problem or "positions or energy left all bounds"
     if problem:
         return STALL, problem

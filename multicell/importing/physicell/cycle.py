@@ -21,7 +21,13 @@ _INSTANT = 1.0
 """Length of a phase that a model does not have, s."""
 _NEVER = 1e6
 """Mean cycle over the duration of the run, for types whose cells do not divide."""
-_RATE = "cytoplasmic_biomass_change_rate"
+_RATES = {
+    "cytoplasmic_biomass_change_rate": 0.0045,
+    "nuclear_biomass_change_rate": 0.0055,
+    "fluid_change_rate": 0.05,
+}
+"""Rates at which parts of a cell go to their targets, 1/min, with PhysiCell's entries for them."""
+_PARTS = (*_RATES, "fluid_fraction", "nuclear")
 _SLOWEST, _FASTEST = 0.7, 12.0
 """Bounds of rate times growing time for the volume that is called that of division."""
 _PACES = 1e-9, 1e4
@@ -188,7 +194,7 @@ def _set_growth(
         for phase in growth["phases"].values():
             phase["target_scale"] = phase.get("target_scale", 1.0) * target / law.target
     for kind in (lead, *known):
-        rate = min(max(kind.number_of(f"volume/{_RATE}", 0.0045), _PACES[0]), _PACES[1])
+        rate = min(max(_pace(kind), _PACES[0]), _PACES[1])
         time = law.exponent * MINUTE / rate
         if kind is lead:
             growth["volume_doubling_time"] = time
@@ -213,16 +219,37 @@ def _set_start(model: Model, known: Mapping[CellDefinition, Cycle], lead: CellDe
             model.cells.begun[kind] = begun * _scale(model, own, cycle)
 
 
+def _pace(kind: CellDefinition) -> float:
+    """Return the rate r of V' = r (K - V) in 1/min by which a whole cell grows.
+
+    PhysiCell's solids s of nucleus and cytoplasm go to their targets at rates of their own, and
+    water F after them, F' = k (f V - F). 1/r is the mean time in which the volume follows a target
+    that is doubled: the shares of the solids over their rates, and f / ((1 - f) k).
+    """
+    cytoplasm, nucleus, water = (
+        kind.number_of(f"volume/{tag}", usual, at_least=0.0) for tag, usual in _RATES.items()
+    )
+    fluid = kind.number_of("volume/fluid_fraction", 0.75, at_least=0.0, at_most=1.0)
+    if cytoplasm == 0.0 or (fluid > 0.0 and (water == 0.0 or fluid == 1.0)):
+        return 0.0
+    share = min(kind.number_of("volume/nuclear", 540.0, at_least=0.0) / kind.volume, 1.0)
+    share = share if nucleus > 0.0 else 0.0  # the rest grows without it
+    time = (1.0 - share) / cytoplasm
+    if share > 0.0:
+        time += share / nucleus
+    return 1.0 / (time + (fluid / ((1.0 - fluid) * water) if fluid > 0.0 else 0.0))
+
+
 def _sizes(lead: CellDefinition, cycle: Cycle) -> tuple[float, float]:
     """Return the volume at division, µm³, and over it the volume K to which cells grow.
 
-    PhysiCell's volumes go to a target at the rate r of the cytoplasm, V' = r (K - V), for the time
-    T in which they grow, and need not reach it. Where the target is doubled before division, cells
+    PhysiCell's volumes go to a target, here at one rate r, V' = r (K - V), for the time T in which
+    they grow, and need not reach it. Where the target is doubled before division, cells
     of the volume V₀ divide at V₀ (2 - exp(-r T)), with K V_d = 2 V₀. Where it is after division,
     they grow from half the volume V_d at division: with K V_d = V₀,
     V_d = V₀ (1 - exp(-r T)) / (1 - exp(-r T) / 2). They are those of mean phases.
     """
-    span = lead.number_of(f"volume/{_RATE}", 0.0045) * cycle.growing
+    span = _pace(lead) * cycle.growing
     span = min(max(span, _SLOWEST), _FASTEST)
     if cycle.model.doubles_before:
         share = 1.0 - 0.5 * math.exp(-span)
@@ -361,9 +388,9 @@ def _account_for(
         note = f"its mean; whether all cells take that long is as in '{lead.name}'"
         stated = [one for one, _, _ in stated_phases(element)]
         account.take_all(stated, Fate.APPROXIMATED, "responses.entry_into_*", note)
-    total, rate = kind.own("volume/total"), kind.own(f"volume/{_RATE}")
+    total = kind.own("volume/total")
     if lead is not None and divides and not math.isclose(kind.volume, lead.volume):
         note = "at the start; types share the volume at division"
         account.take(total, Fate.APPROXIMATED, "radius in cells.csv", note)
-    if lead is None:
-        account.take(rate, Fate.OFF)
+    for tag in _PARTS if lead is None else ():
+        account.take(kind.own(f"volume/{tag}"), Fate.OFF)

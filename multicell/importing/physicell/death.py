@@ -17,15 +17,26 @@ if TYPE_CHECKING:
 
 APOPTOSIS, NECROSIS = "100", "101"
 _NAMES = {APOPTOSIS: "apoptosis", NECROSIS: "necrosis"}
-_REMOVED = 0.1  # of the birth volume
+_REMOVED = 0.01, 0.1
+"""Bounds of the fraction of the birth volume at which the dead are removed."""
 _USUAL = {
-    "unlysed_fluid_change_rate": 0.67 / 60.0,
-    "lysed_fluid_change_rate": 0.05 / 60.0,
-    "cytoplasmic_biomass_change_rate": 0.0032 / 60.0,
-    "nuclear_biomass_change_rate": 0.013 / 60.0,
-    "relative_rupture_volume": 2.0,
+    NECROSIS: {
+        "unlysed_fluid_change_rate": 0.67 / 60.0,
+        "lysed_fluid_change_rate": 0.05 / 60.0,
+        "cytoplasmic_biomass_change_rate": 0.0032 / 60.0,
+        "nuclear_biomass_change_rate": 0.013 / 60.0,
+        "relative_rupture_volume": 2.0,
+    },
+    APOPTOSIS: {
+        "unlysed_fluid_change_rate": 3.0 / 60.0,
+        "lysed_fluid_change_rate": 0.0,
+        "cytoplasmic_biomass_change_rate": 1.0 / 60.0,
+        "nuclear_biomass_change_rate": 0.35 / 60.0,
+        "relative_rupture_volume": 2.0,
+    },
 }
-"""Of necrosis; those of apoptosis have no counterpart."""
+"""1/min, and a ratio: PhysiCell's entries."""
+_BURSTS = "lysed_fluid_change_rate", "relative_rupture_volume"
 
 
 @final
@@ -41,16 +52,20 @@ class Dying:
 def read_death(model: Model) -> None:
     """Read ``death`` of all types; what types share is that of the type with most cells."""
     apoptosis, necrosis = (_lead(model, code) for code in (APOPTOSIS, NECROSIS))
+    removed = _REMOVED[1]
     if apoptosis is not None:
         death, how = model.part("death"), _dying(apoptosis, APOPTOSIS)
+        # at the end of the phase that is the fraction left of what shrinks in this mean time
+        shrinking = max(_shrinking(apoptosis, how), 1e-9)
+        removed = min(max(math.exp(-how.last / shrinking), _REMOVED[0]), _REMOVED[1])
         death["apoptosis_rate"] = how.rate / MINUTE
-        death["apoptosis_time"] = _fading(how.last) * MINUTE
+        death["apoptosis_time"] = _fading(how.last, removed) * MINUTE
         _set_rates(model, APOPTOSIS, how.rate / MINUTE)
     if necrosis is not None:
-        _set_necrosis(model, necrosis)
+        _set_necrosis(model, necrosis, removed)
         _set_rates(model, NECROSIS, 0.0)
     if "death" in model.scene:
-        model.part("death")["removal_fraction"] = _REMOVED
+        model.part("death")["removal_fraction"] = removed
     for kind in model.kinds:
         _account_for(model, kind)
 
@@ -68,19 +83,39 @@ def _set_rates(model: Model, code: str, usual: float) -> None:
     set_behaviour(model, f"{_NAMES[code]} rate", usual, own, rules, lambda r: r.end / MINUTE)
 
 
-def _set_necrosis(model: Model, lead: CellDefinition) -> None:
+def _set_necrosis(model: Model, lead: CellDefinition, removed: float) -> None:
     necrosis, death = _dying(lead, NECROSIS), model.part("death")
     swelling = _time_to_burst(lead, necrosis)
     if swelling is not None:
         death["swelling"] = min(max(necrosis.parameters["relative_rupture_volume"], 1.0), 8.0)
         death["swelling_time"] = swelling * MINUTE
     lysed = necrosis.parameters["lysed_fluid_change_rate"]
-    death["lysis_time"] = (1.0 / lysed if lysed > 0.0 else _fading(necrosis.last)) * MINUTE
+    death["lysis_time"] = (1.0 / lysed if lysed > 0.0 else _fading(necrosis.last, removed)) * MINUTE
 
 
-def _fading(minutes: float) -> float:
+def _fading(minutes: float, removed: float) -> float:
     """Return the mean time in which a cell must shrink to be removed after a time."""
-    return min(max(minutes, 1e-3), 1e7) / math.log(1.0 / _REMOVED)
+    return min(max(minutes, 1e-3), 1e7) / math.log(1.0 / removed)
+
+
+def _shares(kind: CellDefinition) -> tuple[float, float, float]:
+    """Return the shares of water, solid cytoplasm and solid nucleus in the volume of a cell."""
+    fluid = kind.number_of("volume/fluid_fraction", 0.75)
+    nucleus = kind.number_of("volume/nuclear", 540.0) / kind.volume
+    return fluid, (1.0 - fluid) * (1.0 - nucleus), (1.0 - fluid) * nucleus
+
+
+def _shrinking(kind: CellDefinition, dying: Dying) -> float:
+    """Return the mean time in which an apoptotic cell shrinks, min; infinite for a part that stays.
+
+    Water and both solids fall to 0 at rates of their own: it is the sum of shares over rates.
+    """
+    rates = [dying.parameters[tag] for tag in _USUAL[APOPTOSIS] if tag not in _BURSTS]
+    return sum(
+        share / rate if rate > 0.0 else math.inf
+        for share, rate in zip(_shares(kind), rates, strict=True)
+        if share > 0.0
+    )
 
 
 def _code(model: Element) -> str:
@@ -93,11 +128,12 @@ def _dying(kind: CellDefinition, code: str) -> Dying:
     last = 516.0 if code == APOPTOSIS else 86400.0
     found = next((one for one in kind.listed("death", "model") if _code(one) == code), None)
     if found is None:
-        return Dying(0.0, _USUAL, last)
+        return Dying(0.0, _USUAL[code], last)
     rate = found.number_at("rate", 0.0, at_least=0.0)
-    parameters = dict(_USUAL)
-    for tag, value in _USUAL.items() if code == NECROSIS else ():
-        parameters[tag] = found.number_at(f"parameters/{tag}", value, at_least=0.0)
+    parameters = {
+        tag: found.number_at(f"parameters/{tag}", value, at_least=0.0)
+        for tag, value in _USUAL[code].items()
+    }
     # the dead are removed at the end of the only phase of apoptosis, of the second one of necrosis
     for _, phase, stage in stated_phases(found):
         if phase == (code == NECROSIS) and math.isfinite(stage.minutes):
@@ -112,11 +148,10 @@ def _time_to_burst(kind: CellDefinition, dying: Dying) -> float | None:
     """
     goal = dying.parameters["relative_rupture_volume"]
     k = dying.parameters["unlysed_fluid_change_rate"]
-    fluid = kind.number_of("volume/fluid_fraction", 0.75)
-    nucleus = kind.number_of("volume/nuclear", 540.0) / kind.volume
+    fluid, cytoplasm, nucleus = _shares(kind)
     parts = [
-        ((1.0 - fluid) * (1.0 - nucleus), dying.parameters["cytoplasmic_biomass_change_rate"]),
-        ((1.0 - fluid) * nucleus, dying.parameters["nuclear_biomass_change_rate"]),
+        (cytoplasm, dying.parameters["cytoplasmic_biomass_change_rate"]),
+        (nucleus, dying.parameters["nuclear_biomass_change_rate"]),
     ]
 
     def volume(t: float) -> float:
@@ -145,10 +180,10 @@ def _account_for(model: Model, kind: CellDefinition) -> None:
             continue
         lead, own = _dying(leader, code), _dying(kind, code)
         known = [tag for table in one.all("parameters") for tag in table.children]
-        known = [tag for tag in known if tag.tag in _USUAL]
+        known = [tag for tag in known if tag.tag in _USUAL[code]]
         if code == APOPTOSIS:
-            note = "one time constant describes how apoptotic cells shrink"
-            take_all(known, Fate.LEFT_OUT, note=note)
+            burst = [tag for tag in known if tag.tag in _BURSTS]
+            take_all(burst, Fate.OFF, note="cells that shrink do not burst")
         if (lead.parameters, lead.last) != (own.parameters, own.last):
             note = f"as in '{leader.name}': types share it"
             phases = [part for part in one.children if part.tag.startswith("phase")]

@@ -16,6 +16,7 @@ from multicell.importing.imported import Fate
 from multicell.importing.physicell import run
 from multicell.importing.physicell.model import MINUTE, CellDefinition, Model, keys_of
 from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
+from multicell.scene.oxygen import is_oxygen
 from multicell.units import oxygen_solubility, to_base, unit_factor
 
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ def _unit(name: str, said: str) -> tuple[float, Fate, str]:
     known = 1000.0 if said == "M" else unit_factor(said, "mM")
     if known is not None:
         return known, Fate.MAPPED, f"{said} as {said}"
-    if name.lower() == "oxygen" and said.lower() in ("mmhg", "dimensionless", "none", ""):
+    if is_oxygen(name) and said.lower() in ("mmhg", "dimensionless", "none", ""):
         factor = oxygen_solubility(_BODY) * to_base("1 mmHg", "kPa")
         how = f"1 mmHg as {factor:.4g} mM, the solubility in water at 37 °C (Battino et al. 1983)"
         if said.lower() == "mmhg":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from multicell.behaviours.catalogue import SURFACE_ENERGY
 from multicell.cells import stokes_drag
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, VISCOSITY, CellDefinition, Model
@@ -16,9 +17,12 @@ if TYPE_CHECKING:
 _WALL = 100.0 / MINUTE
 """Strength of PhysiCell's walls, µm/s."""
 _STIFFEST = 1e9  # kPa, the largest modulus of walls in a scene
+_ADHESION = "mechanics/cell_cell_adhesion_strength"
 _AFFINITIES = "mechanics/cell_adhesion_affinities", "cell_adhesion_affinity"
 _REPULSION = "mechanics/cell_cell_repulsion_strength"
 _RANGE = "mechanics/relative_maximum_adhesion_distance"
+_MOST = 0.99
+"""Most adhesion over repulsion: such cells rest at 0.025 of the sum of their radii."""
 _LENGTH = 1.0
 _POISSON = 0.5  # incompressible; moduli are chosen for it
 _COMPLIANCE = 0.75 * (1.0 - _POISSON**2)
@@ -108,7 +112,7 @@ def _adhesion(kind: CellDefinition) -> float:
     """Return the strength of adhesion of a type, µm/min."""
     found = _equilibrium(kind)
     if found is None:
-        return kind.number_of("mechanics/cell_cell_adhesion_strength", 0.4, at_least=0.0)
+        return kind.number_of(_ADHESION, 0.4, at_least=0.0)
     share, reach = 0.5 * found[0], _range(kind)
     return float(_repulsion(kind) * ((1.0 - share) / (1.0 - share / max(reach, 1.0))) ** 2)
 
@@ -124,13 +128,14 @@ def _affinities(model: Model, kind: CellDefinition) -> dict[str, float]:
 def _read_adhesion(model: Model) -> None:
     own = {kind: _adhesion(kind) for kind in model.kinds}
     affinity = {kind: _affinities(model, kind) for kind in model.kinds}
+    most = _strongest(model)
     pairs = {
-        (i, j): strength(
-            math.sqrt(max(own[i] * affinity[i][j.name] * own[j] * affinity[j][i.name], 0.0))
-        )
+        (i, j): math.sqrt(max(own[i] * affinity[i][j.name] * own[j] * affinity[j][i.name], 0.0))
         for i in model.kinds
         for j in model.kinds
     }
+    _account_for_strongest(model, pairs, most)
+    pairs = {of: strength(min(value, most[of])) for of, value in pairs.items()}
     model.scene["contact"]["surface_energy"] = pairs[model.leader, model.leader]
     for i in model.kinds:
         if len(set(pairs.values())) > 1:
@@ -140,8 +145,49 @@ def _read_adhesion(model: Model) -> None:
             model.of_type(i, "surface_energy", energies)
         ruled = _equilibrium(i)
         if ruled is not None:
-            element = i.own("mechanics/cell_cell_adhesion_strength")
-            model.account.take(element, Fate.OFF, note=f"set by {ruled[1].tag}")
+            given = i.own(_ADHESION)
+            if given is not None and given not in model.account:
+                model.account.take(given, Fate.OFF, note=f"set by {ruled[1].tag}")
+    _read_stickiness(model, {i: own[i] for i in own if any(pairs[i, j] > 0.0 for j in own)})
+
+
+def _strongest(model: Model) -> dict[tuple[CellDefinition, CellDefinition], float]:
+    """Return the most adhesion of each pair of types by which cells do not fall into another."""
+    # cells that do not repel others do so here, as those of the leading type
+    usual = _repulsion(model.leader) or 10.0
+    own = {kind: _repulsion(kind) or usual for kind in model.kinds}
+    return {
+        (i, j): _MOST * 2.0 * own[i] * own[j] / (own[i] + own[j])
+        for i in model.kinds
+        for j in model.kinds
+    }
+
+
+def _account_for_strongest(
+    model: Model,
+    pairs: dict[tuple[CellDefinition, CellDefinition], float],
+    most: dict[tuple[CellDefinition, CellDefinition], float],
+) -> None:
+    """Account for adhesion that is stronger than repulsion."""
+    for i in model.kinds:
+        drawn = [j.name for j in model.kinds if pairs[i, j] > most[i, j]]
+        if drawn:
+            note = f"{_MOST:g} of the repulsion with {', '.join(drawn)[:200]}: in PhysiCell such "
+            note += "cells fall into one another"
+            given = [i.own(tag) for tag in (_ADHESION, _AFFINITIES[0])]
+            model.account.take_all(
+                [one for one in given if one is not None],
+                Fate.APPROXIMATED,
+                "contact.surface_energy",
+                note,
+            )
+
+
+def _read_stickiness(model: Model, known: dict[CellDefinition, float]) -> None:
+    """Let rules change how strongly cells adhere: of two the geometric mean, as there."""
+    rules = rules_of(model, "cell-cell adhesion", known)
+    own, end = dict.fromkeys(known, 1.0), lambda rule: rule.end / known[rule.kind]
+    set_behaviour(model, SURFACE_ENERGY, 1.0, own, rules, end)
 
 
 def _read_wall(model: Model) -> None:

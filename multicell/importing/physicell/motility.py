@@ -113,7 +113,7 @@ def _directions(model: Model, kind: CellDefinition) -> list[tuple[str, float]]:
         return []
     name, sign = simple.find("substrate"), simple.number_at("direction", 1.0)
     if name is None or name.word() not in model.fields:
-        raise simple.error("follows no substance of the model")
+        return []
     return [(name.word(), math.copysign(1.0, sign))] if sign else []
 
 
@@ -192,6 +192,11 @@ def _account_for(
     ways = [*table.all("options/chemotaxis"), *table.all("options/advanced_chemotaxis")]
     account.take_all([way for way in ways if way is not used], Fate.OFF)
     bias = table.all("migration_bias")
+    named = table.find("options/chemotaxis/substrate")
+    lost = named is None or named.word() not in model.fields
+    if used is not None and used.tag == "chemotaxis" and lost:
+        note = "follows no substance of the model: PhysiCell ends here, these cells do not turn"
+        account.take_all([used], Fate.LEFT_OUT, note=note)
     if not how.along:
         account.take_all(bias, Fate.OFF, note="no gradient is followed")
     if len(how.along) > 1:

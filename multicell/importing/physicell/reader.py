@@ -32,7 +32,10 @@ _CODE = "read by C++ code of the model only"
 _INSIDE = "only networks with rates (roadrunner) are read"
 _SOLVED = "networks take their own steps, by tolerances"
 _SATURATES = "uptake saturates, a thousand times above the largest concentration that is named"
-_FALLS = "volumes of the dead fall exponentially, after necrosis from the volume of bursting"
+_FALLS = (
+    "volumes of the dead fall exponentially, in the mean time of water, cytoplasm and nucleus, "
+)
+_FALLS += "after necrosis from the volume of bursting"
 _MAPPED, _NEAR, _LEFT, _OFF = Fate.MAPPED, Fate.APPROXIMATED, Fate.LEFT_OUT, Fate.OFF
 _SETTINGS: Final[Sequence[tuple[str, Fate, str, str]]] = (
     (r"domain/[xyz]_", _MAPPED, "domain", ""),
@@ -65,6 +68,8 @@ _SETTINGS: Final[Sequence[tuple[str, Fate, str, str]]] = (
     (r"microenvironment_setup/variable/.*decay", _MAPPED, "nutrients.*.decay", ""),
     (r"microenvironment_setup/variable/initial", _MAPPED, "nutrients.*.boundary", ""),
     (r"microenvironment_setup/variable/Dirichlet", _MAPPED, "nutrients.*.sides", ""),
+    (r"options/mechanics_voxel", _OFF, "", "the search for neighbours chooses its own"),
+    (r"microenvironment_setup/options/track", _OFF, "", "a count, which code alone reads"),
     (r"microenvironment_setup/options/calculate", _MAPPED, "", "where chemotaxis asks for them"),
     (
         r"microenvironment_setup/options",
@@ -79,10 +84,10 @@ _SETTINGS: Final[Sequence[tuple[str, Fate, str, str]]] = (
     (r"death/model", _NEAR, "death", _FALLS),
     (r"volume/total", _MAPPED, "cells.division_radius, radius in cells.csv", ""),
     (
-        r"volume/cytoplasmic_biomass",
+        r"volume/(cytoplasmic_biomass|nuclear|fluid)",
         _NEAR,
         "growth.volume_doubling_time, growth.parameters.target",
-        "V' = r (K - V) of the whole cell at this rate; nucleus and water have theirs in PhysiCell",
+        "V' = r (K - V) of the whole cell, in the mean time of nucleus, cytoplasm and water",
     ),
     (r"volume/relative_rupture", _OFF, "", "that of each model of death counts"),
     (r"volume", _LEFT, "", "a cell has one volume"),

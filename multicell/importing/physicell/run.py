@@ -23,8 +23,12 @@ def read_run(model: Model) -> None:
     _read_domain(model)
     overall = _required(model.root, "overall")
     every = model.root.find("save/full_data/interval")
-    model.scene["duration"] = _required(overall, "max_time").number(above=0.0) * MINUTE
-    dt = overall.number_at("dt_phenotype", 6.0, above=0.0)
+    last, dt = _required(overall, "max_time"), overall.number_at("dt_phenotype", 6.0, above=0.0)
+    duration = last.number(at_least=0.0)
+    if duration == 0.0:
+        note, duration = "one coupling step; PhysiCell saves the start alone", dt
+        model.account.take(last, Fate.APPROXIMATED, "duration", note)
+    model.scene["duration"] = duration * MINUTE
     model.scene["coupling_step"] = dt * MINUTE
     if every is not None and not every.is_off() and every.number() > 0.0:
         model.part("output")["every"] = every.number() * MINUTE

@@ -24,6 +24,7 @@ from multicell.cells import FloatArray
 from multicell.errors import SceneError
 from multicell.nutrient.balance import BALANCE_COLUMNS
 from multicell.nutrient.equations.grid import grid_on, layout_on
+from multicell.nutrient.equations.linear import LinearCourse, is_linear
 from multicell.nutrient.equations.placed import PlacedSubstance
 from multicell.nutrient.equations.solvers import (
     ImplicitFieldSolver,
@@ -248,6 +249,19 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         """
         found, reports = self.solution(data, t, dt, data)
         return found.reshape(data.shape), dt * self.exchanges(found, t, reports)
+
+    def linear_courses(
+        self, data: FloatArray, begin: float, last: float, end: float
+    ) -> list[LinearCourse] | None:
+        """Return the exact course of each substance from a time to another, s; None: not linear.
+
+        ``last`` is a time just before ``end``: at the moment of a jump the old medium holds.
+        """
+        substances = self.substances.values()
+        if self.reactions is not None or not all(map(is_linear, substances)):
+            return None
+        nodes = self.nodes(data)
+        return [LinearCourse(each, nodes[each.name], begin, last, end) for each in substances]
 
     def solution(
         self, start: FloatArray, t: float, dt: float = np.inf, before: FloatArray | None = None

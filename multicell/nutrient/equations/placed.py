@@ -185,6 +185,17 @@ class PlacedSubstance:
         gain = self.substance.perfusion * level
         return self.secreted if gain == 0.0 else gain + self.secreted
 
+    def gain(self, t: float) -> FloatArray:
+        """Return all that nodes gain at a time in s, over the sides too, mM/s."""
+        self.set_time(t)
+        level = self.schedule.at(t)
+        return np.asarray(self.at(level).brought() + self.supply(level))
+
+    @property
+    def taken(self) -> bool:
+        """Whether cells take it up, now or in the course of the demand."""
+        return bool(self.sink.any() or (self._course is not None and self._course[2][0].any()))
+
     def rate(self, c: FloatArray, t: float) -> tuple[FloatArray, FloatArray]:
         """Return dc/dt (mM/s) and what uptake and decay add to it for each mM less (1/s)."""
         level = self.schedule.at(t)
@@ -220,12 +231,14 @@ class PlacedSubstance:
         else:
             net = operator.inflow(c)
             inward, outward = max(net, 0.0), max(-net, 0.0)
-        taken, _ = uptake_and_slope(self.sink, c, self.substance.half_saturation)
+        uptake = 0.0
+        if self.sink.any():
+            taken, _ = uptake_and_slope(self.sink, c, self.substance.half_saturation)
+            uptake = float(np.sum(volumes * taken))
         gained = lost = 0.0
         if made is not None:
             gained = float(np.sum(volumes * np.maximum(made, 0.0)))
             lost = float(np.sum(volumes * np.maximum(-made, 0.0)))
-        uptake = float(np.sum(volumes * taken))
         return SolveReport(
             0, 0, 0.0, inward - outward, uptake, outflow=outward, made=gained, used=lost
         )

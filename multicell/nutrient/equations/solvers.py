@@ -30,6 +30,8 @@ _SMALL = 1e-3
 
 _MOST_STEPS: Final = 20_000  # in one coupling step; then the solver is not getting on
 _SHORTEST: Final = 1e-9  # of the interval
+_FINEST: Final = 2.0**-16  # part of an interval that is looked at
+_ROUNDING: Final = 1e-9  # below zero, of the largest value: more is no rounding of a transform
 _REFUSED: Final = 0.25  # of a step that was not solved, the next one tried
 
 
@@ -90,13 +92,17 @@ class SteadyFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
 
 @final
 class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
-    """Steps of backward Euler under error control, of which none is below zero: those of runs.
+    """Linear fields exactly, others by steps of backward Euler under error control: as in runs.
 
-    Their equations are those of the steady state with 1/dt added to the rates and c/dt to the
-    supply: M-matrices again, so that no concentration is negative, and the steady state is exactly
-    where the march comes to rest. Each step is done once in full and once in halves; their
-    distance is the estimate of the error, and 2 (halves) - (full) is of second order. That is taken
-    where it is nowhere negative, else the halves are.
+    A field of a box that nothing takes up or reacts with, and that diffuses alike everywhere, is
+    followed without an error in time (:mod:`multicell.nutrient.equations.linear`); what rounding
+    leaves below zero is set to zero, and ``info["lifted"]`` is what that added to each substance.
+
+    The steps are never below zero. Their equations are those of the steady state with 1/dt added to
+    the rates and c/dt to the supply: M-matrices again, so that no concentration is negative, and
+    the steady state is exactly where the march comes to rest. Each step is done once in full and
+    once in halves; their distance is the estimate of the error, and 2 (halves) - (full) is of
+    second order. That is taken where it is nowhere negative, else the halves are.
 
     ``info["amounts"]`` holds what happened to each substance, with the columns of
     :data:`multicell.nutrient.balance.BALANCE_COLUMNS`.
@@ -140,6 +146,7 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
             steps=0,
             rejections=0,
             amounts=np.zeros((len(pde.names), len(BALANCE_COLUMNS))),
+            lifted=np.zeros(len(pde.names)),
         )
 
         def stepper(state: Any, t_start: float, t_end: float) -> float:
@@ -147,18 +154,66 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
             if self.watch is not None:
                 self.watch(ends[0], c)
             for begin, end in itertools.pairwise([ends[0], *pde.switches(*ends), ends[1]]):
-                c = self._march(pde, c, begin, end)
+                found = self._follow(pde, c, begin, end)
+                c = self._march(pde, c, begin, end) if found is None else found
             state.data[...] = c
             return t_end
 
         return stepper
 
+    def _scale(self, pde: Any, c: FloatArray, begin: float, end: float) -> FloatArray:
+        """Return the concentrations that errors are compared with at least, (m,) mM."""
+        scale = np.asarray(pde.scales(c, begin, end))
+        return scale if self.scales is None else np.maximum(scale, self.scales)
+
+    def _follow(self, pde: Any, c: FloatArray, begin: float, end: float) -> FloatArray | None:
+        """Bring the data from one time to another exactly; None where that is not possible.
+
+        Sides that take more than there is (a negative slope) empty nodes: that is left to steps,
+        which say so.
+        """
+        last = float(np.nextafter(end, -np.inf))
+        courses = getattr(pde, "linear_courses", lambda *_: None)(c, begin, last, end)
+        if courses is None:
+            return None
+        found, rows = zip(*(course.end() for course in courses), strict=True)
+        raw = np.reshape(found, c.shape)
+        largest = max(raw.max(initial=0.0), c.max(initial=0.0))
+        if not raw.min(initial=0.0) >= -_ROUNDING * largest:  # nor where something is no number
+            return None
+        if self.watch is not None:
+            self._show(courses, (c, raw), begin, self._scale(pde, c, begin, end))
+            self.watch(end, np.maximum(raw, 0.0))
+        gained = np.maximum(raw, 0.0)
+        self.info["amounts"] = self.info["amounts"] + np.array(rows)
+        added = (gained - raw).reshape(len(rows), -1).sum(axis=1)
+        self.info["lifted"] = self.info["lifted"] + added * pde.layout.volumes
+        self.info["steps"] += 1
+        return gained
+
+    def _show(
+        self, courses: list[Any], ends: tuple[FloatArray, FloatArray], begin: float, scale: Any
+    ) -> None:
+        """Let the watch see times between which the data change by straight lines, nearly."""
+
+        def between(low: float, first: FloatArray, high: float, second: FloatArray) -> None:
+            share = 0.5 * (low + high)
+            middle = np.reshape([course.at(share) for course in courses], first.shape)
+            bent = _distance(middle, 0.5 * (first + second), scale) > self.tolerance
+            deeper = bent and high - low > _FINEST
+            if deeper:
+                between(low, first, share, middle)
+            assert self.watch is not None
+            self.watch(begin + share * courses[0].length, np.maximum(middle, 0.0))
+            if deeper:
+                between(share, middle, high, second)
+
+        between(0.0, ends[0], 1.0, ends[1])
+
     def _march(self, pde: Any, c: FloatArray, begin: float, end: float) -> FloatArray:
         """Bring the data from one time to another, between which no medium jumps."""
         last = float(np.nextafter(end, -np.inf))  # at the moment of a jump the old medium holds
-        scale = pde.scales(c, begin, end)
-        if self.scales is not None:
-            scale = np.maximum(scale, self.scales)
+        scale = self._scale(pde, c, begin, end)
 
         def implicit(c: FloatArray, dt: float, time: float) -> Any:
             return pde.implicit_step(c, dt, min(time, last))

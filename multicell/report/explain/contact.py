@@ -26,13 +26,16 @@ def contact_parts(scene: Scene) -> list[ExplainedPart]:
     active, load = scene.motility, scene.pull
     given = any(kind.surface_energy is not None for kind in scene.types.values())
     energy = f"{scene.contact.surface_energy:g} nN/um"
+    factors = [f for kind in scene.types.values() for f in (kind.adhesion_with or {}).values()]
+    ends = f"{min(factors, default=1.0):g} to {max(factors, default=1.0):g}"
+    scaled = f"; adhesion of some types times {ends}" if factors else ""
     total = sum(kind.fraction for kind in scene.types.values())
     shares = [f"{100.0 * kind.fraction / total:.3g} % {n}" for n, kind in scene.types.items()]
     motions = [
         f"{name}: {math.hypot(*law.velocity):.3g} um/s" for name, law in scene.motions.items()
     ]
     return [
-        part("contact", scene.contact.describe("by type" if given else energy)),
+        part("contact", scene.contact.describe("by type" if given else energy) + scaled),
         part("types", ", ".join(shares)),
         part("adhesion", _adhesion(scene)),
         part("drag", f"Stokes drag in a medium of {scene.drag.viscosity:g} kPa s"),

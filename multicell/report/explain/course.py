@@ -34,6 +34,8 @@ from multicell.scene.sizes import birth_radius, typical_radius
 
 SHELLS: Final = 40  # of the ball of tissue
 _STEPS_IN_CYCLE: Final = 12  # steps of the forecast
+_NEWBORN: Final = 0.5 / math.log(2.0)
+"""Offspring of a newborn cell over that of a mean one of a growing population, in the long run."""
 _MAX_STEPS: Final = 300  # of a forecast, which bounds its time
 _MAX_EXPONENT: Final = 60.0  # exponent of growth in a step: then it is over
 _MAX_CELLS: Final = 1e12  # no forecast continues beyond
@@ -84,13 +86,17 @@ def _times(scene: Scene) -> FloatArray:
 
 
 class _Tissue:
-    """Living cells, and the dead by the time of their death."""
+    """Living cells, and the dead by the time of their death.
+
+    The living are counted as cells of a growing population, whose ages differ: their volume and
+    their offspring are those of so many.
+    """
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._plan = biology_plan(scene)
         self._dimensions = scene.dimensions
-        self._living = float(scene.initial.count)
+        self._living = self._least = float(scene.initial.count)
         self._dead: list[tuple[float, float]] = []
         self._now = 0.0
         self.starved = math.nan  # part of the tissue of the start
@@ -99,6 +105,8 @@ class _Tissue:
         self._rate = 0.0  # of an unlimited population, 1/s
         if scene.growth is not None:
             self._rate = malthusian_rate(scene.growth)
+            if scene.initial.cells is None and scene.initial.stage == "birth":
+                self._living *= _NEWBORN
             # of newborn cells over that of growing ones, whose ages fall off by half over a cycle
             size = birth_radius(scene) / math.log(2.0) ** (1.0 / 3.0)
         own = SPHERE * size**3 if scene.dimensions == 3 else math.pi * size**2
@@ -122,7 +130,12 @@ class _Tissue:
     @property
     def cells(self) -> float:
         """All cells that are there."""
-        return self._living + sum(count for _, count in self._dead)
+        return self._number + sum(count for _, count in self._dead)
+
+    @property
+    def _number(self) -> float:
+        """Living cells: those of the start until the first of them divides."""
+        return max(self._living, self._least)
 
     @property
     def radius(self) -> float:
@@ -159,8 +172,9 @@ class _Tissue:
         if self._scene.death is not None:
             lost += (1.0 - lost) * -math.expm1(-self._scene.death.apoptosis_rate * dt)
         if lost > 0.0:
-            self._dead.append((end, lost * self._living))
+            self._dead.append((end, lost * self._number))
             self._living *= 1.0 - lost
+            self._least *= 1.0 - lost
         self._clear(end)
 
     def _supply(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from multicell.behaviours.catalogue import value_around
+from multicell.scene.conditions import conditions
 from multicell.scene.networks import flux_of
 from multicell.scene.scene import Scene
 
@@ -19,13 +21,11 @@ def network_words(scene: Scene, name: str) -> str:
     for field in part.fluxes or ():
         what, rate = flux_of(part, field)
         words.append(f"{what} of {field} at the rate {rate}")
-    signals = {y for response in scene.responses.values() for y in response.signals}
-    used = sorted(
-        x
-        for x in signals
-        if x.removeprefix("sum of ").removeprefix("neighbours.").startswith(f"{name}.")
-    )
-    words.append(f"read as {', '.join(used)}" if used else "no response reads it")
+    used = sorted(x for x in _read(scene) if value_around(x).startswith(f"{name}."))
+    if used:
+        words.append(f"read as {', '.join(used)}")
+    elif not part.fluxes:
+        words.append("nothing reads it")
     if model.events:
         words.append(f"events {_listed([event.name for event in model.events])}")
     if model.time_unit is None and part.time_unit is None:
@@ -36,6 +36,13 @@ def network_words(scene: Scene, name: str) -> str:
     words.append(_stiffness(scene, name))
     control = f"tolerance {part.tolerance:g}" if part.step is None else f"steps of {part.step:g} s"
     return "; ".join([*words, f"solved by {part.method}, {control}"])
+
+
+def _read(scene: Scene) -> set[str]:
+    """Return the signals that responses, networks and the starts of phases read."""
+    found = {x for response in scene.responses.values() for x in response.signals}
+    found |= {x for part in scene.networks.values() for x in (part.inputs or {}).values()}
+    return found | {condition.signal for condition in conditions(scene)}
 
 
 def _listed(names: tuple[str, ...] | list[str], most: int = 12) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from multicell.cells import SPHERE
 from multicell.report.explain.items import ExplainedPart, Number, hours, part
@@ -16,6 +18,9 @@ from multicell.scene.reactions import Reaction, group_of
 from multicell.scene.responses import relevant_fields, type_thresholds
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import typical_radius
+
+if TYPE_CHECKING:
+    from multicell.scene.initial_files import InitialFile
 
 
 def nutrient_parts(scene: Scene) -> list[ExplainedPart]:
@@ -60,6 +65,8 @@ def _what(scene: Scene, name: str) -> str:
     regime = f"{scales.regime(scene, name)} ({_regime_reason(scene, name)})"
     parts = [regime, _geometry(scene, nutrient, scales.largest_spacing(scene, name))]
     parts.append(_medium(nutrient))
+    if nutrient.initial_file is not None:
+        parts.append(_beginning(nutrient.initial_file, name))
     if nutrient.solver not in OWN_SOLVERS:
         parts.append(_solver(scene, name))
     together = [other for other in group_of(name, scene.reactions) if other != name]
@@ -130,6 +137,14 @@ def _medium(nutrient: Nutrient) -> str:
         return f"{nutrient.boundary:g} mM in the medium"
     values = [nutrient.boundary, *(value for _, value in nutrient.media)]
     return f"medium of {min(values):g} to {max(values):g} mM, changed {len(nutrient.media)} time(s)"
+
+
+def _beginning(part: InitialFile, name: str) -> str:
+    """Return the file, shape and range of the values at the start, in words."""
+    values = part.grid(name).values
+    shape = " x ".join(map(str, values.shape))
+    low, high = (part.scale * float(value) for value in (values.min(), values.max()))
+    return f"starts from {shape} values of {Path(part.file).name}, {low:.4g} to {high:.4g} mM"
 
 
 def nutrient_numbers(scene: Scene) -> list[Number]:

@@ -7,6 +7,7 @@ them stays light; elsewhere such an area gets a light edge.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -54,7 +55,11 @@ def in_dark(colour: Any, least: float = _LEAST) -> Rgba:
     States and types stay. Ink and paper change places, and so do the greys between them. What is
     too dark to be seen then is mixed with white until it is not.
     """
-    rgba = to_rgba(colour)
+    return _in_dark(to_rgba(colour), least)
+
+
+@cache
+def _in_dark(rgba: Rgba, least: float) -> Rgba:
     rgb, opacity = np.array(rgba[:3]), rgba[3]
     if to_hex(rgba) in _SAME:
         return rgba

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Final, final
 
 import matplotlib as mpl
@@ -260,8 +259,6 @@ def draw_discs(
 
 def slice_at(field: Field, z: float) -> FloatArray:
     """Return the field on the plane at height z (µm), interpolated linearly: (nx, ny)."""
-    from scipy.interpolate import make_interp_spline
-
     if field.kind == "radial":
         field = field.in_plane(z)
     heights = field.axis(2)
@@ -269,21 +266,39 @@ def slice_at(field: Field, z: float) -> FloatArray:
         return np.asarray(field.values[:, :, 0])
     if not heights[0] <= z <= heights[-1]:
         raise ValueError(f"the plane z = {z:g} um lies outside the grid of {field.name}")
-    return np.asarray(make_interp_spline(heights, field.values, k=1, axis=2)(z))
+    below = min(int(np.searchsorted(heights, z, side="right")), len(heights) - 1) - 1
+    part = (z - heights[below]) / (heights[below + 1] - heights[below])
+    return np.asarray((1.0 - part) * field.values[..., below] + part * field.values[..., below + 1])
 
 
 def refine(field: Field, z: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return x, y and the field on the plane at z, four points to a grid spacing.
 
-    The cubic spline is for the eye only: lines through the bare grid would look like polygons.
+    Cubic polynomials are for the eye only: lines through the bare grid would look like polygons.
     """
-    from scipy.ndimage import map_coordinates
-
     plane = slice_at(field, z)
     x, y = (np.linspace(0, n - 1, 4 * (n - 1) + 1) for n in plane.shape)
-    fine = map_coordinates(plane, np.meshgrid(x, y, indexing="ij"), order=3, mode="nearest")
+    fine = _quarters(_quarters(plane).T).T
     at = [field.axis(k)[0] + index * field.spacing for k, index in enumerate((x, y))]
     return at[0], at[1], fine.T
+
+
+def _quarters(values: FloatArray) -> FloatArray:
+    """Return values at four points to a spacing along the first axis, by Catmull–Rom polynomials.
+
+    - ``values``: (n, m)
+
+    Returns (4 n - 3, m). SciPy's splines would take as long to load as all else to draw.
+    """
+    if len(values) == 1:
+        return values
+    ends = 2.0 * values[:1] - values[1:2], 2.0 * values[-1:] - values[-2:-1]
+    around = np.vstack([ends[0], values, ends[1]])[:, None]
+    a, b, c, d = (around[k : k + len(values) - 1] for k in range(4))
+    t = np.arange(4.0)[:, None] / 4.0
+    bend = 2.0 * a - 5.0 * b + 4.0 * c - d + t * (3.0 * (b - c) + d - a)
+    fine = b + 0.5 * t * (c - a + t * bend)
+    return np.vstack([fine.reshape(-1, values.shape[1]), values[-1:]])
 
 
 def draw_field(
@@ -350,8 +365,6 @@ def necrotic_share(
     Returns x, (nx,), y, (ny,) µm; share, (ny, nx): 0 to 1, NaN away from cells; None if no cell
     is necrotic.
     """
-    from scipy.ndimage import gaussian_filter
-
     dead = cells.state == State.NECROTIC
     if not dead.any():
         return None
@@ -360,13 +373,26 @@ def necrotic_share(
     pixel = max(width / _FINE, float((high - low).max()) / _MAX_POINTS)
     edges = [np.arange(a, b + pixel, pixel) for a, b in zip(low, high, strict=True)]
     weight = np.exp(-0.5 * ((place[:, 2] - level) / width) ** 2)
-    smooth: Any = partial(gaussian_filter, sigma=width / pixel, mode="constant", truncate=8.0)
     flat = place[:, 0], place[:, 1], edges
-    whole, part = (smooth(np.histogram2d(*flat, weights=w)[0]) for w in (weight, weight * dead))
+    whole, part = (
+        _smooth(np.histogram2d(*flat, weights=w)[0], width / pixel) for w in (weight, weight * dead)
+    )
     known = whole > _MIN_DENSITY * whole.max()
     share = np.divide(part, whole, out=np.full_like(whole, np.nan), where=known)
     x, y = (0.5 * (edge[1:] + edge[:-1]) for edge in edges)
     return x, y, share.T
+
+
+def _smooth(values: FloatArray, width: float) -> FloatArray:
+    """Return the convolution of a grid with a Gaussian, (nx, ny), with zeros beyond its edges.
+
+    - ``width``: its standard deviation, in points
+    """
+    shape = [n + int(8.0 * width) for n in values.shape]  # it repeats only there
+    x, y = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])
+    bell = np.exp(-2.0 * (np.pi * width) ** 2 * (x**2 + y**2))
+    nx, ny = values.shape
+    return np.asarray(np.fft.irfft2(bell * np.fft.rfft2(values, shape), shape)[:nx, :ny])
 
 
 def draw_necrotic(axes: Axes, cells: Cells, place: FloatArray, level: float) -> bool:

@@ -11,10 +11,11 @@ from typing import Any, Final, NamedTuple, final
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.image import imsave
 from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogFormatter, LogLocator, NullFormatter
-from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
@@ -189,22 +190,46 @@ class InlinePicture(NamedTuple):
     subtitle: str  # what the picture says of itself
 
 
-def inline_picture(figure: Figure) -> InlinePicture:
-    """Return a figure for a page; afterwards it has no title and the colours of dark mode."""
+def inline_picture(figure: Figure, path: Path | None = None) -> InlinePicture:
+    """Return a figure for a page; afterwards it has no title and the colours of dark mode.
+
+    - ``path``: PNG file to write it to as well, with its title
+    """
     from multicell.report.plots.dark import darken
 
+    figure.set_dpi(DPI)
+    titles = [text for text in figure.texts if text.get_gid() == TITLE]
+    for title in titles:
+        title.set_visible(False)
+    canvas = _drawn(figure)
+    # in whole pixels, as Matplotlib rounds
     wide, high = figure.get_size_inches()
-    for text in figure.texts:
-        if text.get_gid() == TITLE:
-            text.set_visible(False)
-            high -= _TITLE_HEIGHT
-    box = Bbox([[0.0, 0.0], [wide, high]])
-    png, size = _packed(figure, box)
+    size = int(wide * DPI), int((high - _TITLE_HEIGHT * len(titles)) * DPI)
+    png = _packed(canvas, size)
+    if path is not None:  # the same drawing, with the title on it
+        for title in titles:
+            title.set_visible(True)
+            title.draw(canvas.get_renderer())
+            title.set_visible(False)
+        write_bytes(path, _as_png(canvas))
     least = readable_width(figure)
     darken(figure)
-    dark, _ = _packed(figure, box)
+    dark = _packed(_drawn(figure), size)
     subtitles = [text.get_text() for text in figure.texts if text.get_gid() == SUBTITLE]
     return InlinePicture(png, dark, *size, least, subtitle="".join(subtitles))
+
+
+def _drawn(figure: Figure) -> Any:
+    canvas: Any = FigureCanvasAgg(figure)  # whose methods have no types
+    canvas.draw()
+    return canvas
+
+
+def _as_png(canvas: Any) -> bytes:
+    """Return a drawn canvas as a file, as :func:`render` makes it."""
+    picture = io.BytesIO()
+    imsave(picture, canvas.buffer_rgba(), format="png", dpi=DPI, metadata={"Software": "multicell"})
+    return picture.getvalue()
 
 
 def readable_width(figure: Figure) -> int:
@@ -214,18 +239,17 @@ def readable_width(figure: Figure) -> int:
     return readable_from(min(sizes), figure.get_figwidth()) if sizes else 0
 
 
-def _packed(figure: Figure, box: Bbox) -> tuple[str, tuple[int, int]]:
-    """Return a part of a figure, inches, as a PNG in base64, and its size in pixels."""
+def _packed(canvas: Any, size: tuple[int, int]) -> str:
+    """Return the lower part of a drawn canvas, of a size in pixels, as a PNG in base64."""
     from PIL import Image
 
-    drawn, packed = io.BytesIO(), io.BytesIO()
-    figure.savefig(drawn, format="rgba", bbox_inches=box, dpi=DPI, facecolor=figure.get_facecolor())
-    size = int(box.width * DPI), int(box.height * DPI)  # as Matplotlib rounds
-    image = Image.frombuffer("RGBA", size, drawn.getvalue(), "raw", "RGBA", 0, 1).convert("RGB")
+    packed = io.BytesIO()
+    pixels = np.asarray(canvas.buffer_rgba())[-size[1] :]
+    image = Image.frombuffer("RGBA", size, pixels, "raw", "RGBA", 0, 1).convert("RGB")
     # a palette makes it a third as large; harder packing saves a tenth in ten times the time
-    few = image.quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    few = image.quantize(256, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     few.save(packed, format="PNG", compress_level=6)
-    return base64.b64encode(packed.getvalue()).decode("ascii"), image.size
+    return base64.b64encode(packed.getvalue()).decode("ascii")
 
 
 def type_colours(names: Iterable[str]) -> dict[str, str]:
