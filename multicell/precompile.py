@@ -9,8 +9,6 @@ what is not ready in time is compiled when it is needed.
 
 from __future__ import annotations
 
-import atexit
-import gc
 import os
 import pickle
 import subprocess
@@ -26,6 +24,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 
 from multicell.compiling import COMPILATION
+from multicell.host.garbage import collect_rarely
 from multicell.simulation.timeline import PhaseTimer
 
 if TYPE_CHECKING:
@@ -242,5 +241,5 @@ def take_shares() -> None:
 
 
 if __name__ == "__main__":
-    atexit.register(gc.freeze)  # as in the command's own process
+    collect_rarely()
     take_shares()

@@ -70,6 +70,11 @@ def _compiles_more(item):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
+    moving = [item.nodeid for item in items if " at 0x" in item.nodeid]
+    if moving:
+        raise pytest.UsageError(
+            f"{moving[0]}: an address in its name differs from process to process"
+        )
     for item in items:
         if item.get_closest_marker("kernels") and _compiles_more(item):
             item.add_marker(pytest.mark.slow)

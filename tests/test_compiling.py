@@ -11,9 +11,11 @@ import pytest
 from numba import njit, types
 from numba.extending import intrinsic
 
+import multicell as mc
 from multicell import compiling
 from multicell.compiling import address_of, call_at, kind_of
 from multicell.contact.jkr import JKR
+from multicell.mechanics import forces
 
 
 @njit
@@ -162,3 +164,28 @@ def test_code_on_disk_for_a_type_that_is_gone_is_compiled_anew(tmp_path):
         assert done.returncode == 0, done.stderr[-1500:]
         hits.append(int(done.stdout))
     assert hits == [0, 0, 1]
+
+
+def test_loops_and_python_share_the_forces():
+    sim = mc.Simulation(mc.load_scene("doublet"))
+    sim.step()
+    sim.mechanics.force(sim.mechanics.motion.begin, sim.cells.position)
+    place = [signature[3] for signature in forces.forces.signatures]
+    assert place
+    assert not any(array.mutable for array in place)
+
+
+COMMAND = """
+import atexit, gc, sys
+atexit.register(lambda: print(gc.get_freeze_count() > 1000))
+from multicell.__main__ import run
+sys.argv = ["multicell", "--version"]
+run()
+"""
+
+
+def test_a_command_looks_for_no_garbage_at_its_end():
+    done = subprocess.run(
+        [sys.executable, "-c", COMMAND], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.splitlines()[-1] == "True"

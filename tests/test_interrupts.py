@@ -81,6 +81,7 @@ class LateError(Exception):
 
 
 @pytest.mark.parametrize("method", ["auto", "cvode"])
+@pytest.mark.slow
 def test_handlers_that_raise_at_any_moment_leave_a_whole_state(method, handled):
     simulation = Simulation(SCENE.with_changes({"integrator.method": method}), threads=1)
     simulation.step()
@@ -458,6 +459,53 @@ def test_compiled_code_of_others_that_swallows_an_interrupt_neither_prints_nor_k
     )  # fmt: skip
     assert done.stdout == "raised True\n"
     assert done.stderr == ""
+
+
+PRESSED_AGAIN = SWALLOWED.replace(
+    "import numpy as np",
+    """
+import threading
+start = threading.Timer.start
+def start_and_press(timer):
+    os.kill(os.getpid(), signal.SIGINT)
+    start(timer)
+threading.Timer.start = start_and_press
+import numpy as np""",
+    1,
+)
+
+
+def test_a_press_while_a_press_is_raised_again_prints_nothing():
+    done = subprocess.run(
+        [sys.executable, "-c", PRESSED_AGAIN], capture_output=True, text=True, timeout=60,
+        preexec_fn=listening,
+    )  # fmt: skip
+    assert (done.stdout, done.stderr) == ("raised True\n", "")
+
+
+NO_THREAD = SWALLOWED.replace(
+    "import numpy as np",
+    """
+import threading
+def refuse(timer):
+    raise RuntimeError("can't start new thread")
+threading.Timer.start = refuse
+import numpy as np""",
+    1,
+).replace(
+    "    time.sleep(5.0)",
+    """    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(5.0)""",
+    1,
+)
+
+
+def test_a_press_that_cannot_be_raised_again_does_not_swallow_the_next():
+    done = subprocess.run(
+        [sys.executable, "-c", NO_THREAD], capture_output=True, text=True, timeout=60,
+        preexec_fn=listening,
+    )  # fmt: skip
+    assert done.stdout == "raised True\n"
 
 
 def _interrupted(command, environment, moments, cwd):

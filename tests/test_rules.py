@@ -152,5 +152,10 @@ def test_benchmarks_run_where_they_are_asked_for(asked, left, request):
         SimpleNamespace(path=Path("tests/cli/test_a.py"), get_closest_marker={}.get),
         SimpleNamespace(path=Path("tests/b.py"), get_closest_marker={"benchmark": True}.get),
     ]
+    for item in items:
+        item.nodeid = f"{item.path}::test_a"
     own.pytest_collection_modifyitems(config, items)
     assert (len(items), len(gone)) == (left, 2 - left)
+    items[0].nodeid += "[<function f at 0x7f0d7967f4c0>]"
+    with pytest.raises(pytest.UsageError, match="an address in its name"):
+        own.pytest_collection_modifyitems(config, items)

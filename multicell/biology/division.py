@@ -206,16 +206,15 @@ def change_types(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> Cells:
     if cells.type_changes is not None:
         count += cells.type_changes
     exposure, since = exposure[rows], np.zeros(len(rows))
+    by_type = partial(_by_type, plan, "change to")
     while rows.size:
-        rates = exposure.integral(
-            known, lambda signals, some: _by_type(plan, "change to", signals, some), since
-        )
+        rates = exposure.integral(known, by_type, since)
         gained = rates.sum(axis=1)
         part = part_until(plan, Purpose.CHANGE, cells.id[rows], integral[rows], gained, count[rows])
         integral[rows] += gained
         turns = np.flatnonzero(np.isfinite(part))
         rows, exposure = rows[turns], exposure[turns]
-        since = since[turns] + (1.0 - since[turns]) * part[turns]
+        since = exposure.reached(known, by_type, part[turns], since[turns])
         ends = np.cumsum(rates[turns], axis=1)
         u = random.uniform(plan.seed, Purpose.CHANGE, count[rows], cells.id[rows], attempt=1)
         kinds = np.minimum((u * ends[:, -1:] >= ends).sum(axis=1), len(plan.types) - 1)

@@ -46,6 +46,10 @@ _OF_CELLS: Final = frozenset({*_CARRIED, "volume"})
 
 _ENDS: Final = np.array([0.0, 1.0])
 
+_MOST_JUMPS: Final = 32  # of a steady field in a step, by deaths in it
+
+_AFTER: Final = 1e-9  # of a step, after which a death has changed it
+
 
 @final
 class Exposure:
@@ -56,6 +60,8 @@ class Exposure:
     - ``began``, ``before``: cells and signals at its beginning; absent: as at the end
     - ``inner``, name -> Course: what is known in between
     - ``held``: signals that jump at the end of the step, before which they were as at its beginning
+
+    - ``until``, (n,) or a number: part of the step after which nothing counts
     """
 
     def __init__(
@@ -73,6 +79,7 @@ class Exposure:
         self.began = cells if began is None else began
         self.before = signals if before is None else before
         self.inner, self.held = inner or {}, held
+        self.until: Any = 1.0
         self._known: dict[str, Course] = {}
 
     @cached_property
@@ -132,6 +139,27 @@ class Exposure:
             value = np.asarray(rate(*self._at(0.5 * (low + high), known))).T
             total = total + value * (share * self.length)
         return np.asarray(total).T
+
+    def reached(self, known: Known, rate: Rate, share: FloatArray, since: Any = 0.0) -> FloatArray:
+        """Return at which part of the step an integral comes to a share of what it gains, (n,).
+
+        - ``known``: the responses that make the rate, which is finite, (n,), or of which all (n, k)
+          are added
+        - ``since``, (n,) or a number: part of the step from which it counts
+        """
+        pieces = []
+        for low, high in self._parts(known):
+            low = np.maximum(low, since)
+            width = np.maximum(high - low, 0.0)
+            value = rate(*self._at(0.5 * (low + high), known))
+            pieces.append((low, width, width * (value if value.ndim == 1 else value.sum(axis=1))))
+        left = share * sum(gain for *_, gain in pieces)
+        found = np.full(len(self.cells), np.inf)
+        for low, width, gain in pieces:
+            within = np.isinf(found) & (gain > 0.0) & (left <= gain)
+            found = np.where(within, low + width * left / np.where(within, gain, 1.0), found)
+            left = left - gain
+        return np.asarray(np.minimum(found, self.until))  # rounding may leave something over
 
     def pieces(self, known: Known, rate: Rate) -> Iterator[tuple[Any, Any, Any]]:
         """Yield begin and end, in parts of the step, of pieces, and the finite rate in each."""
@@ -199,7 +227,8 @@ class Exposure:
         for low, high in pairwise(self._knots(known).tolist()):
             cuts = list(self._cuts(known, low, high))
             inside = np.sort(np.stack(cuts), axis=0) if cuts else ()
-            yield from pairwise((low, *inside, high))
+            for begin, end in pairwise((low, *inside, high)):
+                yield np.minimum(begin, self.until), np.minimum(end, self.until)
 
     def _cuts(self, known: Known, low: float, high: float) -> Iterator[FloatArray]:
         """Yield where between two parts of the step signals pass kinks, (n,); else at ``high``."""
@@ -251,6 +280,26 @@ def _joined(course: Course, ends: FloatArray) -> Course:
     return at, moved
 
 
+def course_with_deaths(
+    first: FloatArray, alone: FloatArray, last: FloatArray, until: FloatArray
+) -> Course:
+    """Return the course of a steady field through a step in which cells die.
+
+    It goes linearly from ``first`` to where it would be with all of them, ``alone``, (n,) mM. What
+    their deaths change at the end, to ``last``, comes in equal parts when they die, never before.
+
+    - ``until``, (n,): parts of the step until which cells lived
+    """
+    died = np.sort(until[until < 1.0])
+    group = max(-(-len(died) // _MOST_JUMPS), 1)
+    jumps = died[::-1][::group][::-1]
+    at = np.unique(np.concatenate([_ENDS, jumps, np.minimum(jumps + _AFTER, 1.0)]))
+    done = np.append(0, np.searchsorted(died, jumps, side="right")) / max(len(died), 1)
+    share = done[np.searchsorted(jumps, at)]
+    values = first + at[:, None] * (alone - first) + share[:, None] * (last - alone)
+    return at, values
+
+
 def remainders(
     plan: BiologyPlan, exposure: Exposure, before: Mapping[str, float], *, jumped: bool
 ) -> dict[str, float]:
@@ -292,5 +341,6 @@ def part_until(
         event = np.broadcast_to(number, len(ids))[grows]
         threshold = random.thresholds(plan.seed, purpose, event, ids[grows])
         # who is beyond it already, by a rounding or by a user's hand, is so from the beginning on
-        part[grows] = np.maximum((threshold - before[grows]) / gained[grows], 0.0)
+        with np.errstate(over="ignore"):  # of next to nothing gained, infinitely many are needed
+            part[grows] = np.maximum((threshold - before[grows]) / gained[grows], 0.0)
     return np.where(part <= 1.0, part, np.inf)

@@ -28,8 +28,9 @@ from multicell.cells import SPHERE, Cells, FloatArray, IntArray, Mask, Phase, Si
 from multicell.random import GOLDEN, Purpose
 
 if TYPE_CHECKING:
-    from multicell.biology.exposure import Exposure
+    from multicell.biology.exposure import Exposure, Rate
     from multicell.biology.plan import BiologyPlan
+    from multicell.biology.responding import Known
     from multicell.scene.radiation import Radiation
 
 
@@ -115,7 +116,41 @@ def deaths(
         apoptosis = _earlier(apoptosis, _only(due, _since_due(plan, cells, exposure, due), cells))
     if "apoptosis rate" in plan.base_rates:
         apoptosis = _earlier(apoptosis, apoptotic(plan, cells, exposure, time, columns))
+    part = _earlier(necrosis, apoptosis)
+    if exposure is not None and columns and part is not None:
+        _end_with_death(plan, cells, exposure, part, columns)
     return Deaths(necrosis, apoptosis, columns)
+
+
+def _end_with_death(
+    plan: BiologyPlan,
+    cells: Cells,
+    exposure: Exposure,
+    part: FloatArray,
+    columns: dict[str, FloatArray],
+) -> None:
+    """Let damage and integrals of cells that die be those until their death, at parts of a step."""
+    rows = np.flatnonzero((part < 1.0) & ~cells.dead)
+    if not rows.size:
+        return
+    some, ended = cells.take(rows), exposure[rows]
+    ended.until = part[rows]
+    found: dict[str, FloatArray] = {}
+    if "damage" in columns:
+        take_damage(plan, some, ended, found)
+    for name, column, rate in (
+        ("necrosis rate", "necrosis_hazard", finite_rate),
+        ("apoptosis rate", "apoptosis_hazard", rate_of),
+    ):
+        if column in columns:
+            gained = ended.integral(plan.responses[name], partial(rate, plan, name))
+            before = getattr(some, column)
+            found[column] = gained if before is None else before + gained
+    for column, values in columns.items():
+        there = found.get(column, getattr(some, column))
+        # a threshold kills, which rounding may just miss
+        full = column == "damage" and there >= 1.0 - 2.0 * ROUNDING
+        values[rows] = np.where(full, 1.0, there)
 
 
 def _earlier(first: FloatArray | None, second: FloatArray | None) -> FloatArray | None:
@@ -225,10 +260,9 @@ def apoptotic(
     rate = plan.base_rates["apoptosis rate"]
     known = plan.responses.get("apoptosis rate")
     if exposure is not None and known is not None:
-        gained = exposure.integral(known, partial(rate_of, plan, "apoptosis rate"))
-        return _part_until_death(
-            plan, Purpose.APOPTOSIS, cells, "apoptosis_hazard", gained, columns
-        )
+        rate_now = partial(rate_of, plan, "apoptosis rate")
+        whole = Purpose.APOPTOSIS, "apoptosis_hazard", known, rate_now
+        return _part_until_death(plan, cells, exposure, columns, *whole)
     if known is not None:
         return None
     # who was there at the start is older than the run, who was born in it is younger
@@ -270,33 +304,43 @@ def necrotic(
                 )
             part = _only(rows, np.where(now[rows], np.minimum(first, 1.0), first), cells)
     if exposure is not None and "necrosis rate" in plan.acting:
-        gained = exposure.integral(known, partial(finite_rate, plan, "necrosis rate"))
-        by_rate = _part_until_death(
-            plan, Purpose.NECROSIS, cells, "necrosis_hazard", gained, columns
-        )
-        part = _earlier(part, by_rate)
+        rate = partial(finite_rate, plan, "necrosis rate")
+        whole = Purpose.NECROSIS, "necrosis_hazard", known, rate
+        part = _earlier(part, _part_until_death(plan, cells, exposure, columns, *whole))
     return part
 
 
 def _part_until_death(
     plan: BiologyPlan,
-    purpose: Purpose,
     cells: Cells,
-    column: str,
-    gained: FloatArray,
+    exposure: Exposure,
     columns: dict[str, FloatArray],
+    purpose: Purpose,
+    column: str,
+    responses: Known,
+    rate: Rate,
 ) -> FloatArray:
-    """Return at which part of the gain of an integral living cells die, (n,); it is noted.
+    """Return at which part of a step the integral of a rate kills living cells, (n,); it is noted.
 
     Infinite where they do not; ``column`` is the integral's name, one of
     :data:`multicell.cells.HAZARDS`, and ``columns`` where it is noted.
     """
-    gained = np.where(cells.dead, 0.0, gained)
+    gained = np.where(cells.dead, 0.0, exposure.integral(responses, rate))
     known = getattr(cells, column)
     before = np.zeros(len(cells)) if known is None else known
     if known is not None or gained.any():
         columns[column] = before + gained
-    return part_until(plan, purpose, cells.id, before, gained)
+    share = part_until(plan, purpose, cells.id, before, gained)
+    return _when(exposure, responses, rate, share)
+
+
+def _when(exposure: Exposure, known: Known, rate: Rate, share: FloatArray) -> FloatArray:
+    """Return at which parts of a step integrals come to shares of their gain, (n,)."""
+    rows = np.flatnonzero(np.isfinite(share))
+    part = share.copy()
+    if rows.size:
+        part[rows] = exposure[rows].reached(known, rate, share[rows])
+    return part
 
 
 def take_damage(
@@ -312,7 +356,7 @@ def take_damage(
     known, rate = plan.responses["damage rate"], partial(rate_of, plan, "damage rate")
     if plan.death is not None and plan.death.repair_rate > 0.0:
         return _take_and_heal(plan, cells, exposure, columns)
-    gained = np.where(cells.dead, 0.0, exposure.integral(known, rate))
+    gained, two_rates = np.where(cells.dead, 0.0, exposure.integral(known, rate)), None
     hit = np.flatnonzero(gained)
     if plan.death is not None and plan.death.damage_variation > 0.0 and hit.size:
         born = hit[exposure.began.id[exposure.row[hit]] != cells.id[hit]]
@@ -323,11 +367,17 @@ def take_damage(
         gained[born] = later
         gained[hit] /= _tolerance(plan, cells.id[hit])
         gained[born] += earlier
+        two_rates = born
     if gained.any():
         columns["damage"] = damage = before + gained
     most = 1.0 - ROUNDING
-    left = np.divide(most - before, gained, out=np.zeros(len(cells)), where=gained > 0.0)
-    return np.where((damage >= most) & ~cells.dead, np.maximum(left, 0.0), np.inf)
+    dies = (damage >= most) & ~cells.dead
+    left = np.divide(most - before, gained, out=np.zeros(len(cells)), where=dies & (gained > 0.0))
+    share = np.where(dies, np.clip(left, 0.0, 1.0), np.inf)
+    part = _when(exposure, known, rate, share)
+    if two_rates is not None:  # their mothers bore another amount
+        part[two_rates] = share[two_rates]
+    return part
 
 
 def _take_and_heal(

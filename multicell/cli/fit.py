@@ -55,12 +55,7 @@ if TYPE_CHECKING:
     default=0.1,
     help="Relative standard deviation of data that come without one.",
 )
-@shared.valued(
-    "--specimens",
-    default="same",
-    metavar="NAME",
-    help="single: each row is another specimen, measured once, as the column 'specimen' says too.",
-)
+@shared.specimens_option
 @shared.valued(
     "--scatter",
     default="stated",

@@ -217,6 +217,14 @@ where_option = click.option(
 )
 
 
+specimens_option = valued(
+    "--specimens",
+    default="same",
+    metavar="NAME",
+    help="single: each row is another specimen, measured once, as the column 'specimen' says too.",
+)
+
+
 data_options = grouped(
     click.option(
         "--data",
@@ -225,13 +233,17 @@ data_options = grouped(
     ),
     columns_option,
     where_option,
+    specimens_option,
 )
 
 
-def refuse_without_data(data: Path | None, columns: str | None, where: str | None) -> None:
-    """Refuse names of columns and choices of rows without a table."""
-    if data is None and (columns is not None or where is not None):
-        raise click.UsageError("--columns and --where belong to --data")
+def how_to_read(
+    data: Path | None, columns: str | None, where: str | None, specimens: str
+) -> dict[str, Any]:
+    """Return how a table of measured data is read; refuse such options without a table."""
+    if data is None and (columns is not None or where is not None or specimens != "same"):
+        raise click.UsageError("--columns, --where and --specimens belong to --data")
+    return {"columns": columns, "where": where, "specimens": specimens}
 
 
 def cells_change(cells: str | None, columns: str | None, changes: Sequence[str]) -> list[str]:

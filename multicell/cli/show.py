@@ -42,6 +42,7 @@ def view_command(
     data: Path | None,
     columns: str | None,
     where: str | None,
+    specimens: str,
     as_json: bool,
 ) -> None:
     """Open the page of the run in FOLDER, also during the run, with all frames so far.
@@ -49,7 +50,7 @@ def view_command(
     The page is written anew unless it is younger than the results. A run that has no frame yet
     shows a picture of its cells that renews itself.
     """
-    shared.refuse_without_data(data, columns, where)
+    how = shared.how_to_read(data, columns, where, specimens)
     page = folder / "report.html"
     if data is not None or not _up_to_date(page, folder):
         from multicell.report.result import load_result
@@ -62,7 +63,7 @@ def view_command(
         elif data is None:
             page = result.report()
         else:
-            found = result.compare_with(data, columns=columns, where=where)
+            found = result.compare_with(data, **how)
             page = result.report(comparison=found)
     if not no_browser and not webbrowser.open(page.resolve().as_uri()):
         complain("There is no browser to open it.")
@@ -140,6 +141,7 @@ def plot(
     data: Path | None,
     columns: str | None,
     where: str | None,
+    specimens: str,
     overwrite: bool,
     as_json: bool,
     **options: Any,
@@ -148,7 +150,7 @@ def plot(
 
     With --data: measured data over the curves of all observables that both have.
     """
-    shared.refuse_without_data(data, columns, where)
+    how = shared.how_to_read(data, columns, where, specimens)
     given = {name: value for name, value in options.items() if value is not None}
     if data is not None and (len(folders) > 1 or picture or quantity or given):
         raise click.UsageError("--data makes a picture of its own, of one run")
@@ -160,7 +162,7 @@ def plot(
     runs = [load_result(folder) for folder in folders]
     words = ""
     if data is not None:
-        found = runs[0].compare_with(data, columns=columns, where=where)
+        found = runs[0].compare_with(data, **how)
         figure, words = found.plot(), ". ".join([found.words, *found.notes])
     elif quantity is not None:
         figure = _quantity(folders, runs, quantity)

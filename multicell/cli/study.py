@@ -439,16 +439,21 @@ def study_status_command(folder: Path, as_json: bool) -> None:
 @shared.data_options
 @shared.as_json_option
 def report(
-    folder: Path, data: Path | None, columns: str | None, where: str | None, as_json: bool
+    folder: Path,
+    data: Path | None,
+    columns: str | None,
+    where: str | None,
+    specimens: str,
+    as_json: bool,
 ) -> None:
     """Write the report of the study in FOLDER: pictures, table, and all numbers as files.
 
     That is report.html, study.nc (netCDF, for xarray) and study.csv. Runs that are missing or
     have failed are marked.
     """
-    shared.refuse_without_data(data, columns, where)
+    how = shared.how_to_read(data, columns, where, specimens)
     made = _open_study(folder)
-    points = None if data is None else made.compare_with(data, columns=columns, where=where)
+    points = None if data is None else made.compare_with(data, **how)
     page = made.report(points)
     files = [str(page), str(folder / "study.nc"), str(folder / "study.csv")]
     if as_json:

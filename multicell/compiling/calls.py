@@ -73,14 +73,17 @@ def call_at(result: Any, address: Any, *arguments: Any) -> tuple[Any, Any]:
     return result(address, *given), generate
 
 
-def called_at(count: int, result: Any) -> Any:
+def called_at(count: int, result: Any, frozen: int | None = None) -> Any:
     """Return an intrinsic that calls the function at an address with ``count`` arguments.
 
-    ``result`` returns its type, given those of address and arguments.
+    - ``result``: returns its type, given those of address and arguments
+    - ``frozen``: number of the argument that is an array which the function only reads, as that is
+      known to callers in Python too; None: there is none
     """
 
-    def call(context: Any, *given: Any) -> tuple[Any, Any]:
-        return call_at(result(*given), *given)
+    def call(context: Any, address: Any, *given: Any) -> tuple[Any, Any]:
+        found = [t.copy(readonly=True) if k == frozen else t for k, t in enumerate(given)]
+        return call_at(result(address, *found), address, *found)
 
     return _intrinsic_of(call, count)
 

@@ -11,7 +11,7 @@ energy U and the overlap h₀ at rest of the law that is scaled, the factor f gi
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, final
 
@@ -42,7 +42,7 @@ class ScaledAttraction(PairLaw):
     """
 
     law: PairLaw
-    rest_overlap: RestOverlap
+    rest_overlap: RestOverlap = field(repr=False)  # whose words would hold an address
     factor: float = 1.0
 
     @property

@@ -153,15 +153,22 @@ def watch_command() -> None:
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         return
 
+    raised_again: list[Any] = []
+
     def press(number: int, frame: FrameType | None) -> None:
         _pressed.append(number)
-        raise KeyboardInterrupt
+        if not raised_again:  # a thread that is being started raises for this one, too
+            raise KeyboardInterrupt
 
     def unraisable(found: Any) -> None:
         if isinstance(found.exc_value, KeyboardInterrupt):
             again = threading.Timer(0.02, _thread.interrupt_main)
             again.daemon = True
-            again.start()
+            raised_again.append(again)
+            try:
+                again.start()
+            finally:
+                raised_again.clear()
         else:
             sys.__unraisablehook__(found)
 

@@ -230,7 +230,7 @@ def _evaluation(source, pairs, elapsed, position, out):
     return DONE, pairs
 
 
-_forces_at = called_at(8, lambda *_: types.boolean)
+_forces_at = called_at(8, lambda *_: types.boolean, frozen=3)
 _missed_at = called_at(12, lambda *_: types.float64)
 # the evaluation would be compiled into a loop at every call
 _evaluate_at = called_at(5, lambda _, source, pairs, *__: types.Tuple((types.intp, pairs)))
@@ -288,7 +288,8 @@ def stepping_kernels(
     source: Source, pairs: forces.PairData, *, shared: bool, passes: bool
 ) -> dict[str, tuple[Any, ...]]:
     """Return the kernels as :func:`address_of` takes them, by their names in :class:`Source`."""
-    place = np.empty((0, 3))
+    place, seen = np.empty((2, 0, 3))
+    seen.flags.writeable = False
     run = forces.forces_parallel if shared else forces.forces
     known: dict[str, tuple[Any, ...]] = {
         "forces_at": (
@@ -297,7 +298,7 @@ def stepping_kernels(
             source.cells,
             pairs,
             source.law,
-            place,
+            seen,
             0.0,
             True,
             source.rows,
@@ -315,10 +316,11 @@ def stepping_kernels(
 
 @arithmetic
 def _is_finite(position):
-    finite = True
-    for value in position.reshape(-1):
-        finite &= math.isfinite(value)
-    return finite
+    for i in range(position.shape[0]):
+        for a in range(3):
+            if not math.isfinite(position[i, a]):
+                return False
+    return True
 
 
 @arithmetic

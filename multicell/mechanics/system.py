@@ -337,8 +337,8 @@ class Mechanics:
         """Return the part of a step to be taken instead where it misses a contact, else 1.
 
         See :func:`multicell.mechanics.forces.missed_contact`; the last evaluation must have been at
-        the end of the step. Only pairs that may meet are looked at, which are searched for anew
-        every few steps: this costs less than a hundredth of a step.
+        the end of the step. Only pairs that may meet are looked at, and searched for anew where one
+        that is not among them may have come near.
 
         - ``begin``, ``end``: of the step, s
         - ``before``, ``after``, ``speed``, ``end_speed``: (n, 3) µm and µm/s, there

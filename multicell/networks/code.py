@@ -57,25 +57,32 @@ def _part(code, t, a, b, c, d, e):
     i, j, k, m, n = [*map(int, lengths), 0, 0][:CALLED_ROWS]
 
     def write(code, t, a, b, c, d, e):
-        function(t, row(a, i), row(b, j), row(c, k), row(d, m))
+        function(t, row_at(a, i), row_at(b, j), row_at(c, k), row_at(d, m))
         return t
 
     def initial(code, t, a, b, c, d, e):
-        function(row(a, i), row(b, j), row(c, k))
+        function(row_at(a, i), row_at(b, j), row_at(c, k))
         return t
 
     def trigger(code, t, a, b, c, d, e):
-        return float(function(t, row(a, i), row(b, j), row(c, k)))
+        return float(function(t, row_at(a, i), row_at(b, j), row_at(c, k)))
 
     def assign(code, t, a, b, c, d, e):
-        function(t, row(a, i), row(b, j), row(c, k), row(d, m), row(e, n))
+        function(
+            t,
+            row_at(a, i),
+            row_at(b, j),
+            row_at(c, k),
+            row_at(d, m),
+            row_at(e, n),
+        )
         return t
 
     return {"write": write, "initial": initial, "trigger": trigger, "assign": assign}[what]
 
 
 @register_jitable
-def row(place, count):
+def row_at(place, count):
     """Return the row of so many floats that begins at a place in memory."""
     return carray(floats_at(place), count)
 

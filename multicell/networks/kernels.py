@@ -204,7 +204,7 @@ def size_of_error(common, y, trial, error):
     return worst
 
 
-KEPT, AFRESH, CAREFUL = range(3)
+REUSED, AFRESH, CAREFUL = range(3)
 """How a step finds the Jacobian: as it was, by differences, or by differences to both sides."""
 
 
@@ -216,7 +216,7 @@ def take_implicit(common, here, table: LinearlyImplicit, t, h, y, s, jacobian):
     made of gives it huge numbers, and these hold a state where it is, with no error to be seen.
     """
     while True:  # with one place for each call, which is then none
-        if jacobian != KEPT:
+        if jacobian != REUSED:
             set_jacobian(common, here, t, y, s, jacobian == CAREFUL)
         size = _rosenbrock(common, here, table, t, h, y, s)
         if size > 1.0 or jacobian == CAREFUL or not _is_held(common, h, y, s):

@@ -24,7 +24,7 @@ from multicell.networks.events import (
 from multicell.networks.kernels import (
     AFRESH,
     CAREFUL,
-    KEPT,
+    REUSED,
     Common,
     Surrounding,
     evaluate_network,
@@ -369,7 +369,7 @@ def _through(tools, here, y, memory, work, s, events, watch, seen):
             if tried % _SUSPICIOUS == 0 and not fixed and _slides(tools, here, t, h, y, s):
                 return CELL_SLIDES, t, met
         size, stiffness = _attempt(tools, here, implicit, t, h, y, s, jacobian)
-        jacobian = KEPT if implicit else jacobian
+        jacobian = REUSED if implicit else jacobian
         ends = False
         if sought == NOTHING:
             if fixed and not _finite(s.trial):

@@ -283,9 +283,10 @@ def _transfer(position, amount, values, density, out, grid, balls, left):
     (nx, ny, nz), origin, spacing, flat = grid
     spread, cells = density.size > 0, position.shape[0]
     first, weights = np.zeros((3, _BLOCK)), np.ones((3, number, _BLOCK))
-    axes, deepest, rest, points = 2 if flat else 3, 1 if flat else number, 0, True
+    axes, deepest, rest, widest = 2 if flat else 3, 1 if flat else number, 0, 0.0
     for width in widths:
-        points = points and width == 0.0
+        widest = max(widest, width)
+    points = widest == 0.0  # no literal, with which the next function would be compiled once more
     for cell in range(cells):
         c = cell % _BLOCK
         if c == 0:

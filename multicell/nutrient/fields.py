@@ -187,8 +187,18 @@ class FieldSystem:
             self._begin(group, cells, tissue, time)
             self._settle(group, cells, tissue, time)
 
-    def _settle(self, group: FieldGroup, cells: Cells, tissue: Tissue, time: float) -> None:
-        """Solve in turn for the steady fields of a circle that ends with this one."""
+    def _settle(
+        self,
+        group: FieldGroup,
+        cells: Cells,
+        tissue: Tissue,
+        time: float,
+        gone: IntArray | None = None,
+    ) -> None:
+        """Solve in turn for the steady fields of a circle that ends with this one.
+
+        - ``gone``: rows of cells that exchange nothing
+        """
         names = self._circles.get(group.names[-1], ())
         if not names or not self._resting.issuperset(names):
             return  # others depend on what the last step has left
@@ -197,6 +207,8 @@ class FieldSystem:
             for other in (one for one in self.groups if one.names[0] in names):
                 name = other.names[0]
                 before, demand = self.concentrations[name], self.demand(name, cells)
+                if gone is not None:
+                    demand = _parted({name: demand}, gone)[0][name]
                 self.reports |= other.solve(tissue, {name: demand}, time=time)
                 self.ledger[name].fill(self.fields[name].stored())
                 self._sample(name, other, cells, demand[0])
@@ -262,8 +274,8 @@ class FieldSystem:
 
         - ``follow``: fields of which, where they are transient, ``courses`` keep the concentrations
           at cells on the way
-        - ``until``, (n,) or a number: part of the step after which cells exchange nothing with
-          transient fields
+        - ``until``, (n,) or a number: part of the step after which cells exchange nothing; steady
+          fields at its end are without those that do not reach it
         - ``ahead``: :meth:`shares` at the end as an earlier try has them; absent: those of the
           beginning
         """
@@ -284,7 +296,6 @@ class FieldSystem:
                         before.radius,
                     )
             row, earlier, shares = _shares(before, cells, end - begin)
-            earlier, shares = until * earlier, until * shares
             for name in self._marched:
                 one, other = self.demand(name, before)
                 began[name] = earlier * one[row], None if other is None else earlier * other[row]
@@ -295,12 +306,14 @@ class FieldSystem:
             self.concentrations = {**self.concentrations, **found}
         # asked for only where networks exchange with fields
         whole = None if self._fluxes is None else np.broadcast_to(until, len(cells)) == 1.0
+        rows = np.flatnonzero(np.broadcast_to(until, len(cells)) < 1.0)
+        leaving = (rows, begin + until[rows] * (end - begin)) if rows.size else None
         for group in self.groups:
             followed = [name for name in group.names if name in follow and name in self._marched]
             seen: list[tuple[float, list[FloatArray]]] = []
             group.watch = partial(self._follow, group, seen) if followed else None
-            self._advance(group, cells, tissue, begin, end, began, shares, whole)
-            self._settle(group, cells, tissue, end)
+            self._advance(group, cells, tissue, begin, end, began, shares, whole, leaving)
+            self._settle(group, cells, tissue, end, None if leaving is None else leaving[0])
             for name in followed:
                 times = np.array([(time - begin) / (end - begin) for time, _ in seen])
                 values = np.stack([found[group.names.index(name)] for _, found in seen])
@@ -351,7 +364,7 @@ class FieldSystem:
         layout, found = group.layout, []
         for values, field in zip(nodes, group.fields.values(), strict=True):
             conditions = field.parameters.conditions(layout, field.level(time))
-            found.append(layout.read(group.position, values, conditions))
+            found.append(layout.read(group.position, values, conditions, group.radius))
         if not seen or time > seen[-1][0]:
             seen.append((time, found))
 
@@ -365,18 +378,22 @@ class FieldSystem:
         began: Mapping[str, Demand],
         shares: FloatArray,
         whole: Mask | None,
+        leaving: tuple[IntArray, FloatArray] | None,
     ) -> None:
         """Bring fields to ``end``.
 
         - ``began``: the part of the demand that the beginning sets; ``shares``: that of the end
         - ``whole``, (n,): which cells exchange until the end; None without exchange by networks
+        - ``leaving``: rows of those that do not, and until when in s
         """
         demand = {name: self.demand(name, cells) for name in group.names}
+        # what steady fields are solved with
+        staying = demand if leaving is None else _parted(demand, leaving[0])[0]
         shells = self._on_shells(group.names[0])
         if group.names[0] in self._resting:
             for name in group.names:
                 self.ledger[name].add(self.reports[name], end - begin)
-            self.reports |= group.solve(tissue, demand, time=end)
+            self.reports |= group.solve(tissue, staying, time=end)
         else:
             content = {name: self.fields[name].stored() for name in group.names}
             mean, first = dict(demand), {}
@@ -386,7 +403,12 @@ class FieldSystem:
                 mean[name] = one + shares * uptake, product
                 if whole is not None:
                     first[name], mean[name] = _line(mean[name], demand[name], whole)
-            found = group.advance(tissue, mean, begin=begin, end=end, first=first)
+            parted = None
+            if leaving is not None:
+                mean, those = _parted(mean, leaving[0])
+                first, _ = _parted(first, leaving[0])
+                parted = *leaving, those
+            found = group.advance(tissue, mean, begin=begin, end=end, first=first, leaving=parted)
             for name, exchange in found.items():
                 gained = self.fields[name].stored() - content[name]
                 self.ledger[name].add(exchange, stored=gained)
@@ -396,7 +418,7 @@ class FieldSystem:
             if self._on_shells(name) != shells:
                 number = self._changes.get(name, {"changes": 0})["changes"] + 1
                 self._changes[name] = {"changes": number, "changed_at": end}
-            self._sample(name, group, cells, demand[name][0])
+            self._sample(name, group, cells, staying[name][0])
 
     def find_again(self, cells: Cells) -> None:
         """Note concentrations and uptake of cells after some have divided."""
@@ -636,6 +658,23 @@ def _shares(
     born = before.id[row] != cells.id
     since = np.minimum(cells.age / dt, 1.0)
     return row, np.where(born, 0.5 * (1.0 - since), 0.5), np.where(born, since, 0.5)
+
+
+def _parted(
+    demand: Mapping[str, Demand], rows: IntArray
+) -> tuple[dict[str, Demand], dict[str, Demand]]:
+    """Return the demand of all cells but some, (n,), and that of these, (k,)."""
+    others: dict[str, Demand] = {}
+    those: dict[str, Demand] = {}
+    for name, (capacity, production) in demand.items():
+        those[name] = capacity[rows], None if production is None else production[rows]
+        capacity = capacity.copy()
+        capacity[rows] = 0.0
+        if production is not None:
+            production = production.copy()
+            production[rows] = 0.0
+        others[name] = capacity, production
+    return others, those
 
 
 def _line(mean: Demand, last: Demand, whole: Mask) -> tuple[Demand, Demand]:

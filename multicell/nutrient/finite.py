@@ -38,7 +38,7 @@ from multicell.nutrient.balance import (
 )
 
 if TYPE_CHECKING:
-    from multicell.nutrient.group import Demand, FieldGroup
+    from multicell.nutrient.group import Demand, FieldGroup, Leaving
     from multicell.nutrient.steady import SolveReport
     from multicell.nutrient.tissue import Tissue
 
@@ -67,6 +67,7 @@ def advance_finite_fields(
     begin: float,
     end: float,
     first: Demand | None = None,
+    leaving: Leaving | None = None,
 ) -> dict[str, FieldExchange]:
     """Bring fields, one of them with a finite medium, from ``begin`` to ``end`` (s).
 
@@ -75,7 +76,7 @@ def advance_finite_fields(
     ``relaid``.
     """
     exchange = _Exchange(group, tissue, demand, begin)
-    group.change_demand(first, begin, end)
+    group.change_demand(first, begin, end, leaving)
     for time, level in (exchange.nutrient.media or ())[exchange.medium.changes :]:
         if time <= end:
             exchange.march(max(time, exchange.now))

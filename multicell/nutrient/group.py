@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 from pde.solvers.base import SolverBase
 
-from multicell.cells import FloatArray
+from multicell.cells import FloatArray, IntArray
 from multicell.nutrient import finite
 from multicell.nutrient.balance import BALANCE_COLUMNS, FADED, FieldExchange
 from multicell.nutrient.equations.equation import FieldEquation
@@ -36,6 +36,10 @@ if TYPE_CHECKING:
 
 Demand = Mapping[str, tuple[FloatArray, FloatArray | None]]
 """Largest uptake and secretion of each cell by field, (n,) amol/s."""
+
+Leaving = tuple[IntArray, FloatArray, Demand]
+"""Rows of cells that exchange for a part of a step only, (k,), until when, (k,) s, and their
+demand, (k,); that of all cells is without them."""
 
 
 @final
@@ -94,6 +98,7 @@ class FieldGroup:
         begin: float,
         end: float,
         first: Demand | None = None,
+        leaving: Leaving | None = None,
     ) -> dict[str, FieldExchange]:
         """Bring transient fields from ``begin`` to ``end`` (s).
 
@@ -102,12 +107,13 @@ class FieldGroup:
 
         - ``first``: demand at the beginning, from which it goes linearly to ``demand``; missing
           entries do not change
+        - ``leaving``: cells that exchange for a part of this time
         """
         if any(field.well_mixed is not None for field in self.fields.values()):
-            return finite.advance_finite_fields(self, tissue, demand, begin, end, first)
+            return finite.advance_finite_fields(self, tissue, demand, begin, end, first, leaving)
         before = [field.stored() for field in self.fields.values()]
         self.begin(tissue, demand, begin, carry=True)
-        self.change_demand(first, begin, end)
+        self.change_demand(first, begin, end, leaving)
         relaid = self.masses() - np.array(before)
         nutrients = [field.parameters.nutrient for field in self.fields.values()]
         scales = np.array([FADED * n.highest for n in nutrients])
@@ -139,11 +145,18 @@ class FieldGroup:
         first = np.array([self._first(f, time, carry) for f in fields])
         self.state = SimpleNamespace(data=first, equation=self.equation)
 
-    def change_demand(self, first: Demand | None, begin: float, end: float) -> None:
-        """Let demand go linearly from ``first`` to what it is at the end."""
+    def change_demand(
+        self, first: Demand | None, begin: float, end: float, leaving: Leaving | None
+    ) -> None:
+        """Let demand go linearly from ``first`` to what it is at the end, and cells leave."""
         for name, demand in (first or {}).items():
             placed = self.equation.substances[name]
             placed.change_demand(self.position, self.radius, *demand, begin, end)
+        if leaving is not None:
+            rows, times, more = leaving
+            for name, demand in more.items():
+                cells = self.position[rows], self.radius[rows]
+                self.equation.substances[name].let_leave(*cells, *demand, times)
 
     def _first(self, field: NutrientField, time: float, carry: bool) -> FloatArray:
         """Return the values that a field begins with on the layout."""

@@ -20,6 +20,7 @@ from multicell.nutrient.steady import BALANCE_TOLERANCE, MAX_BACKTRACKS, SolveRe
 from multicell.nutrient.uptake import rate, uptake, uptake_and_slope
 
 _MAX_NEWTON = 60  # and as many more as there are shells: the edge of a starved core may move by one
+_NOTHING_LEFT = float(np.finfo(float).tiny)  # amol/s; below it numbers lose their digits
 
 
 @final
@@ -106,7 +107,7 @@ class Shells:
         left, total = problem.residual(c)
         for newton in range(_MAX_NEWTON + self.count):
             size = float(np.abs(left).sum())
-            if size <= max(BALANCE_TOLERANCE * total, problem.rounding(c)):
+            if size <= max(BALANCE_TOLERANCE * total, problem.rounding(c), _NOTHING_LEFT):
                 if c.min() < 0.0:
                     c = problem.lifted(c)
                     size = float(np.abs(problem.residual(c)[0]).sum())

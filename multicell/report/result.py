@@ -116,8 +116,11 @@ class Result:
 
     def __repr__(self) -> str:
         words = [repr(self.scene.title or "untitled"), f"{len(self.frames)} frames"]
-        if len(self.frames):
-            last = self.frames[-1]
+        try:
+            last = self.frames[-1] if len(self.frames) else None
+        except OutputError as trouble:  # another run is there now: who prints a result asks no more
+            return f"<Result {words[0]}: {trouble}>"
+        if last is not None:
             words += [time_unit(last.time).text(last.time), cell_count(len(last.cells))]
         place = "in memory" if self.folder is None else f"in '{self.folder}'"
         return f"<Result {', '.join(words)}, {place}>"

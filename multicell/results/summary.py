@@ -94,6 +94,7 @@ def run_summary(
             *packing_notes(scene, own["packing_ratio"], own.get("volume_fraction")),
             *_start_notes(progress.first_states),
             *_giant_notes(scene, frame.cells),
+            *_death_notes(progress.exposures),
             *remarks,
         ],
     }
@@ -158,6 +159,18 @@ def _start_notes(states: Mapping[str, int]) -> list[str]:
 _GIANT = 1.1
 """Volume of a living cell over that of division from which on it is noted: a step's growth is less.
 """
+
+
+def _death_notes(exposures: Mapping[str, float]) -> list[str]:
+    """Return in words in how many steps deaths have not settled."""
+    count = int(exposures.get("unsettled", 0.0))
+    if not count:
+        return []
+    where = "one coupling step" if count == 1 else f"{count} coupling steps"
+    return [
+        f"In {where} deaths that change what other cells are exposed to did not settle; they are "
+        "counted in the error of deaths. A shorter coupling_step keeps them apart."
+    ]
 
 
 def _giant_notes(scene: Scene, cells: Cells) -> list[str]:

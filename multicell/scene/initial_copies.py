@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import copy
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from multicell.errors import SceneError
+from multicell.scene.own_files import altered, made_whole
 from multicell.schema import Tables
 
 if TYPE_CHECKING:
@@ -34,14 +34,9 @@ def initial_files_copied(scene: Scene, folder: Path) -> tuple[Scene, dict[str, b
         except SceneError as error:
             path = f"nutrients.{name}.initial_file.{error.path}"
             raise SceneError(path, error.problem, error.hint) from None
-        part = copy.copy(field.initial_file)  # not made anew: that would read the copy
-        object.__setattr__(part, "file", os.path.abspath(folder / title))
-        fields[name] = copy.copy(field)
-        object.__setattr__(fields[name], "initial_file", part)
-    if files:
-        scene = copy.copy(scene)
-        object.__setattr__(scene, "nutrients", Tables(fields))
-    return scene, files
+        part = altered(field.initial_file, file=os.path.abspath(folder / title))
+        fields[name] = altered(field, initial_file=part)
+    return (altered(scene, nutrients=Tables(fields)) if files else scene), files
 
 
 def place_initial_files(entries: dict[str, Any], source: str | Path) -> dict[str, Any]:
@@ -49,13 +44,10 @@ def place_initial_files(entries: dict[str, Any], source: str | Path) -> dict[str
     fields = entries.get("nutrients")
     if not isinstance(fields, dict):
         return entries
-    folder, placed = Path(os.path.expanduser(source)).parent, {}
-    for name, field in fields.items():
-        given = field.get("initial_file") if isinstance(field, dict) else None
-        file = given.get("file") if isinstance(given, dict) else given
-        placed[name] = field
-        if isinstance(file, str) and file:
-            whole = str(folder / os.path.expanduser(file))
-            part = {**given, "file": whole} if isinstance(given, dict) else whole
-            placed[name] = {**field, "initial_file": part}
+    placed = {
+        name: {**field, "initial_file": made_whole(field["initial_file"], source)}
+        if isinstance(field, dict) and "initial_file" in field
+        else field
+        for name, field in fields.items()
+    }
     return {**entries, "nutrients": placed}

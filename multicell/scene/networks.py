@@ -7,7 +7,6 @@ neighbours.NETWORK.NAME``; with ``weighted`` before it each counts by the area o
 
 from __future__ import annotations
 
-import copy
 import hashlib
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -21,6 +20,7 @@ from multicell.behaviours.catalogue import OF_NEIGHBOURS, SUM_OF, WEIGHTED, valu
 from multicell.errors import SceneError
 from multicell.host.files import other_file
 from multicell.scene.checks import check_kinds, check_names
+from multicell.scene.own_files import altered, made_whole
 from multicell.schema import (
     Draw,
     Tables,
@@ -213,12 +213,8 @@ def networks_copied(scene: Scene, folder: Path) -> tuple[Scene, dict[str, bytes]
             files[title] = part.document.text().encode()
         except SceneError as error:
             raise SceneError(f"networks.{name}.file", error.problem, error.hint) from None
-        parts[name] = copy.copy(part)  # not made anew: that would read the copy
-        object.__setattr__(parts[name], "file", os.path.abspath(folder / title))
-    if files:
-        scene = copy.copy(scene)
-        object.__setattr__(scene, "networks", Tables(parts))
-    return scene, files
+        parts[name] = altered(part, file=os.path.abspath(folder / title))
+    return (altered(scene, networks=Tables(parts)) if files else scene), files
 
 
 def place_networks(entries: dict[str, Any], source: str | Path) -> dict[str, Any]:
@@ -226,12 +222,10 @@ def place_networks(entries: dict[str, Any], source: str | Path) -> dict[str, Any
     tables = entries.get("networks")
     if not isinstance(tables, dict):
         return entries
-    folder, placed = Path(os.path.expanduser(source)).parent, {}
-    for name, table in tables.items():
-        file = table.get("file") if isinstance(table, dict) else None
-        placed[name] = table
-        if isinstance(file, str) and file:
-            placed[name] = {**table, "file": str(folder / os.path.expanduser(file))}
+    placed = {
+        name: made_whole(table, source) if isinstance(table, dict) else table
+        for name, table in tables.items()
+    }
     return {**entries, "networks": placed}
 
 

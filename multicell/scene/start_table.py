@@ -7,7 +7,6 @@ it fits to a scene is checked by :mod:`multicell.scene.start_checks`.
 from __future__ import annotations
 
 import hashlib
-import os
 import re
 from collections.abc import Mapping
 from contextlib import suppress
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 
 from multicell.cells import Cells, Phase, State
 from multicell.errors import DataError, SceneError
+from multicell.scene.own_files import made_whole
 from multicell.schema import (
     choice,
     count,
@@ -293,15 +293,10 @@ def place_table(entries: dict[str, Any], source: str | Path) -> dict[str, Any]:
     """Return the entries of a scene file with the path of its table, if it has one, made whole."""
     initial = entries.get("initial")
     cells = initial.get("cells") if isinstance(initial, dict) else None
-    file = cells.get("file") if isinstance(cells, dict) else cells
-    if not isinstance(file, str) or not file:
+    whole = made_whole(cells, source)
+    if whole is cells:
         return entries
-    try:
-        whole = str(Path(os.path.expanduser(source)).parent / os.path.expanduser(file))
-    except (OSError, ValueError):
-        return entries  # whoever reads it will say what is wrong
-    table = {**cells, "file": whole} if isinstance(cells, dict) else whole
-    return {**entries, "initial": {**(initial or {}), "cells": table}}
+    return {**entries, "initial": {**(initial or {}), "cells": whole}}
 
 
 def in_memory(source: Any) -> StartTable:

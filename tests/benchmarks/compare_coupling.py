@@ -6,11 +6,13 @@ Setting   (1) scenes without chance at three coupling steps, each against an eig
           uptake, so that cells rest and die, for a day at 10 and 0.6 min; (3) the built-in
           spheroid, twelve days, at 40 and 10 min: of order 2, the error at 10 min is a fifteenth of
           their difference. What the positions of cells lose of each other adds 0.5 % in a pair.
-          Draws do not depend on the step, so that each seed is compared with itself.
-Measures  volume of all cells
-Cost      CPU time: (1) 1 min, (2) 15 s a seed, (3) 3 min a seed
+          Draws do not depend on the step, so that each seed is compared with itself; (4) cells that
+          keep a drug from each other and die of it, a dose at odd times, each against 2.5 min; (5)
+          the dead of a pulse on growing cells, by seed.
+Measures  volume of all cells; damage, integrals of hazards and the dead
+Cost      CPU time: (1) 1 min, (2) 15 s a seed, (3) 3 min a seed, (4) 30 s, (5) 6 s a seed
 Command   python tests/benchmarks/compare_coupling.py [--truth] [--pairs 8] [--spheroid 8]
-          [--first 1]
+          [--exposures] [--pulse 8] [--first 1]
 """
 
 from __future__ import annotations
@@ -86,16 +88,85 @@ def pairs(scene: mc.Scene, steps: tuple[str, str], seeds: range) -> None:
     print(f"{steps[0]} against {steps[1]}: {np.mean(found):+.3f} ± {error:.3f} %")
 
 
+_DOSE = {
+    "boundary": 0, "uptake": "0.6 amol/s", "half_saturation": "5e-4 mM", "geometry": "radial",
+    "diffusion": "50 um^2/s", "media_change": "linear", "time_tolerance": 1e-4,
+    "media": [["0.713 h", "0 mM"], ["2.05 h", "3 uM"], ["3.377 h", "0 mM"]],
+}  # fmt: skip
+_HARM = {"signal": "drug", "law": "hill", "half": "1 uM", "power": 2}
+_DYING: dict[str, Any] = {
+    "duration": "4 h", "seed": 3, "initial": {"count": 40, "spacing": 1.5}, "death": {},
+    "contact": {"law": "hertz"}, "output": {"every": "4 h"},
+    "responses": [{"behaviour": "necrosis rate", "largest": "0.6 1/h", **_HARM},
+                  {"behaviour": "damage rate", "largest": "0.01 1/h", **_HARM}],
+}  # fmt: skip
+_PULSE = {
+    "initial.count": 100, "duration": "1.2 h", "death.damage_time": "15 min",
+    "nutrients.drug.regime": "transient",
+    "nutrients.drug.media": [["0.53 h", "3.5e-3 mM"], ["0.8633 h", "0 mM"]],
+}  # fmt: skip
+
+
+def _exposed(scene: mc.Scene) -> tuple[float, float, int, float]:
+    """Return damage, integrals of hazards, the dead, and by how many these may be off."""
+    run = mc.Simulation(scene, threads=1)
+    while not run.finished:
+        run.step()
+    hazard = 0.0 if run.cells.necrosis_hazard is None else float(run.cells.necrosis_hazard.sum())
+    dead = int(run.cells.dead.sum())
+    return float(run.cells.damage.sum()), hazard, dead, abs(run.exposures["error"])
+
+
+def exposures() -> None:
+    """Print errors of damage and hazards where cells die, the dead, and orders."""
+    heads = [f"{step / 60:.0f} min: damage, hazard / %, dead" for step in STEPS]
+    print(f"| field, cells | {' | '.join(heads)} | dead at 2.5 min | orders |")
+    print(f"|---|{'---|' * (len(STEPS) + 2)}")
+    for regime in ("steady", "transient"):
+        for growth in (None, {"cycle_time": "30 h"}):
+            drug = {"drug": {**_DOSE, "regime": regime}}
+            scene = mc.Scene.from_dict({**_DYING, "nutrients": drug, "growth": growth})
+            true = _exposed(scene.with_changes({"coupling_step": "2.5 min"}))
+            found = [_exposed(scene.with_changes({"coupling_step": step})) for step in STEPS]
+            errors = np.array([x[:2] for x in found]) / true[:2] - 1.0
+            rows = zip(100.0 * errors, found, strict=True)
+            cells = [f"{d:+.4f}, {h:+.4f}, {x[2]}" for (d, h), x in rows]
+            orders = np.polyfit(np.log(STEPS), np.log(np.abs(errors)), 1)[0]
+            name = f"{regime}, {'still' if growth is None else 'growing'}"
+            order = ", ".join(f"{x:.2f}" for x in orders)
+            print(f"| {name} | {' | '.join(cells)} | {true[2]} | {order} |", flush=True)
+
+
+def pulse(seeds: range) -> None:
+    """Print the dead of a pulse that cells keep from each other, with the reported error."""
+    steps = (15, 10, 5, 2.5, 1, 0.5)
+    print("| seed | " + " | ".join(f"{step} min" for step in steps) + " |")
+    print(f"|---|{'---|' * len(steps)}")
+    for seed in seeds:
+        row = []
+        for step in steps:
+            changes = {**_PULSE, "seed": seed, "coupling_step": f"{step} min"}
+            *_, dead, error = _exposed(mc.load_scene("dosing").with_changes(changes))
+            row.append(f"{dead} ± {error:.1f}")
+        print(f"| {seed} | {' | '.join(row)} |", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--truth", action="store_true")
-    for name in ("--pairs", "--spheroid"):
+    parser.add_argument("--exposures", action="store_true")
+    for name in ("--pairs", "--spheroid", "--pulse"):
         parser.add_argument(name, type=int, default=0, help="number of seeds")
     parser.add_argument("--first", type=int, default=1, help="seed")
     given = parser.parse_args()
-    every = not (given.truth or given.pairs or given.spheroid)
+    asked = given.truth, given.pairs, given.spheroid, given.exposures, given.pulse
+    every = not any(asked)
     if given.truth or every:
         truth()
+    if given.exposures or every:
+        exposures()
+    if given.pulse or every:
+        pulse(range(given.first, given.first + (given.pulse or 8)))
     spheroid = mc.load_scene("spheroid")
     if given.pairs or every:
         changes = {"initial.count": 100, "initial.stage": "asynchronous", "duration": "1 d",

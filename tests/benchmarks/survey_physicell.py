@@ -72,7 +72,7 @@ def attempt(path, options):
 
 
 def ranked(entries):
-    """Return what is left out of a model: its elements without the names of types, and why."""
+    """Return the elements that are left out, without the names of types, and why."""
     return {
         (re.sub(r"\[[^]]*\]", "", entry.path) if entry.line else "a rule or table", entry.note)
         for entry in entries

@@ -19,6 +19,7 @@ from multicell.mechanics.motion import Motion, StateRejected
 from multicell.mechanics.system import Mechanics
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("law", ["jkr", "exact-jkr"])
 def test_doublet_separates_at_three_halves_pi_sigma_r(law):
     scene = mc.load_scene("doublet").with_changes({"contact.law": law})

@@ -43,6 +43,7 @@ KEYS = {
     "fraction": None,  # of the cells at the start
     "young": 3.0,
     "surface_energy": {"a": 0.1, "b": 0.3},
+    "adhesion_with": {"b": 3.0},
     "receptor": 2.0,
     "ligand": 2.0,
     "cycle_scale": 0.3,
@@ -76,6 +77,9 @@ MOVED = {
 
 def scene(cycle="phases", b=None, changes=True, **rest):
     """Return cells of type a, which all become b in a step where ``changes`` says so."""
+    alike = dict(ALIKE)
+    if "adhesion_with" in (b or {}):  # the other way to say it, of the same energy for all
+        del alike["surface_energy"]
     given = {
         "duration": "1 h", "coupling_step": "1 min", "seed": 4,
         "initial": {"count": 12, "spacing": 0.8, "stage": "uniform"},
@@ -85,7 +89,7 @@ def scene(cycle="phases", b=None, changes=True, **rest):
             "oxygen": {"boundary": 0.1, "spacing": 10.0},
             "signal": {"boundary": 0.0, "uptake": 0.0, "secretion": 50.0, "spacing": 10.0},
         },
-        "types": {"a": {"fraction": 1, **ALIKE}, "b": {"fraction": 0, **ALIKE, **(b or {})}},
+        "types": {"a": {"fraction": 1, **alike}, "b": {"fraction": 0, **alike, **(b or {})}},
         **rest,
     }  # fmt: skip
     if CYCLES[cycle] is not None:

@@ -126,6 +126,7 @@ def test_tension_is_proportional_and_absent_without(ball):
     )
 
 
+@pytest.mark.slow
 def test_a_core_that_is_lost_closes(rested):
     """Nothing grows: the ball ends with the volume that is left, R³ - lost volume over packing."""
     start = _with_core(rested)

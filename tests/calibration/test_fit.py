@@ -115,6 +115,7 @@ def example(tmp_path_factory):
     return module, folder, module.main(folder, budget=60)
 
 
+@pytest.mark.slow
 def test_the_fit_recovers_what_made_the_data_within_its_intervals(example):
     module, _, found = example
     known = found.intervals()

@@ -80,6 +80,7 @@ def plan_of(problem, points, extra):
     return FitPlan(problem, SCENE, None, points, 0.1, 6, extra=extra)
 
 
+@pytest.mark.slow
 def test_what_contradicts_itself_leads_to_more_runs():
     tried = {}
     for extra in (0, 16):
@@ -114,6 +115,7 @@ def test_a_fit_that_does_not_fit_says_which_data():
     assert drawn == pytest.approx(found.best.residuals)
 
 
+@pytest.mark.slow
 def test_scatter_alone_does_not_choose_a_lucky_run():
     """Runs that scatter as much as the data: the emulator's best stands in most problems."""
     rng = np.random.default_rng(3)

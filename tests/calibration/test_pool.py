@@ -28,6 +28,7 @@ def test_in_this_process_a_call_is_made_when_the_one_before_has_ended():
     assert found == [("call 0", 0), ("call 1", 1), ("call 2", 4), ("call 3", 9)]
 
 
+@pytest.mark.slow
 def test_workers_find_the_same_as_this_process_to_the_bit():
     problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.2, noise=0.1, seeds=2)
     own = Search(problem, None, seed=4).run(Pool(), 15)

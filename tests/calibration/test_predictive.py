@@ -134,6 +134,7 @@ class Straight(Growing):
 
 
 @pytest.mark.harness
+@pytest.mark.slow
 def test_the_model_that_made_the_data_is_chosen(request):
     """Growth by a constant ratio or a constant length; tissues scatter over time, nine of ten."""
     count = request.config.getoption("--calibrations") or 2

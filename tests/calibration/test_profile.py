@@ -118,6 +118,7 @@ def test_a_fit_has_profiles_by_name_or_key(fit):
     assert len(fit.plot.profile().axes) == 2
 
 
+@pytest.mark.slow
 def test_the_command_prints_intervals_and_draws(fit, tmp_path, monkeypatch):
     monkeypatch.setattr("multicell.calibration.fitting.stored.load_fit", lambda folder: fit)
     picture = tmp_path / "p.png"

@@ -94,6 +94,7 @@ def test_the_command_checks_the_ends(line, monkeypatch):
     assert ProfileEnd(1.0, 3.84, 9.0, 0.5, 6).confirmed is False
 
 
+@pytest.mark.slow
 def test_intervals_of_profiles_of_a_line_cover_as_often_as_they_say():
     """Twelve data of a straight line with normal errors: 12 repeats, both parameters."""
     rng, hits = np.random.default_rng(6), []

@@ -61,6 +61,7 @@ def test_what_is_missing_or_constant_has_no_index():
         sobol_sample(NAMES, 50)
 
 
+@pytest.mark.slow
 def test_the_command_finds_what_decides_a_scene(tmp_path):
     options = ["--set", "duration=2 h", "--set", "initial.count=4", "--set", "coupling_step=1 h"]
     free = ["--free", "cells.division_radius=4:8 um", "--free", "drag.viscosity=1:2 kPa s"]

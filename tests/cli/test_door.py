@@ -157,6 +157,7 @@ def test_full_output_ends_with_one_line(arguments):
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="there is no device that is always full")
+@pytest.mark.slow
 def test_a_run_outlives_a_full_log(tmp_path):
     with FULL.open("wb") as full:
         done = process("run", *SETTLE, "-o", tmp_path / "o", stderr=full)
@@ -286,6 +287,7 @@ def test_wrong_input_ends_with_2_and_one_line(arguments, folder, tmp_path, monke
 
 
 @pytest.mark.parametrize("delay", [0.3, 2.4])
+@pytest.mark.slow
 def test_ctrl_c_at_any_moment(delay, tmp_path):
     # what happens before the first line of ours is the interpreter's own
     program = "from multicell.__main__ import run; print('on', flush=True); run()"

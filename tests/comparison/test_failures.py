@@ -1,6 +1,7 @@
 """Methods on recorded coupling steps: each failure is reproduced, and has its name."""
 
 import csv
+import json
 import math
 from dataclasses import dataclass, replace
 
@@ -286,3 +287,43 @@ def test_one_name_for_two_states_and_no_state_are_refused(run_folder):
         moving_stability([f"{run_folder}:20 min"] * 2, ["rkc2"])
     with pytest.raises(mc.SceneError, match="no run"):
         moving_stability([])
+
+
+# the command
+
+
+def command(*words):
+    from click.testing import CliRunner
+
+    from multicell.cli.main import main
+
+    found = CliRunner().invoke(main, ["stability", *map(str, words)])
+    return found.exit_code, found.output
+
+
+def test_the_command_writes_the_map_of_a_state(run_folder, tmp_path):
+    out = tmp_path / "out"
+    state = f"{run_folder}:20 min"
+    code, said = command("--state", state, "-o", out, "--methods", "rkc2", "--quiet", "--json")
+    assert code == 0, said
+    rows = json.loads(said)
+    assert {row["state"] for row in rows} == {"run at 20 min"}
+    assert {path.name for path in out.iterdir()} == set(FAILURE_FILES)
+    page = (out / "report.html").read_text()
+    assert all(kind.replace("'", "&#39;") in page for kind in STEP_ENDS)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "Missing argument 'SCENE', or --state"),
+        (["settle", "--state", "run:1 h"], "leave out SCENE"),
+        (["--state", "run:1 h", "--networks"], "leave out SCENE and --networks"),
+        (["--state", "run:1 h", "--set", "seed=3"], "belong to a SCENE"),
+        (["--state", "run"], "must be the folder of a run and a time"),
+    ],
+)
+def test_a_command_that_makes_no_sense_is_refused(words, said, tmp_path):
+    code, output = command(*words, "-o", tmp_path / "out")
+    assert code != 0
+    assert said in " ".join(output.split()), output

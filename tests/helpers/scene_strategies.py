@@ -583,6 +583,11 @@ def _let_steps_be_few(scene, options):
     least = (2e-2 if first else 1e-5) * radius
     options["atol"] = min(max(base(options.get("atol", 0.01)), least), 0.1 * radius)
     options["rtol"] = max(options.get("rtol", 1e-6), 1e-4 if first else 1e-9)
+    # a random path of many radii in a step is followed in thousands of pieces, each by itself
+    scales = [kind.get("diffusion_scale", 1.0) for kind in scene.get("types", {}).values()]
+    motility, most = scene.get("motility", {}), radius**2 / scene["coupling_step"]
+    if motility.get("diffusion") is not None:
+        motility["diffusion"] = min(base(motility["diffusion"]), most / max([1.0, *scales]))
 
 
 def _loosen(scene):

@@ -217,6 +217,14 @@ def test_chemotaxis_along_a_substance_that_is_not_declared_is_left_out(project):
     assert "follows no substance of the model" in entry.note
 
 
+@pytest.mark.parametrize("unit", ["mmHg", "dimensionless"])
+def test_oxygen_by_another_name_is_in_mmhg_too(project, unit):
+    made = mc.import_physicell(
+        project(("oxygen", "O2"), ('name="O2" units="mmHg"', f'name="O2" units="{unit}"'))
+    )
+    assert made.scene.nutrients["O2"].boundary == pytest.approx(38.0 * MM_HG, rel=1e-3)
+
+
 def test_a_model_of_no_time_takes_one_step(project):
     made = mc.import_physicell(project((">60</max_time>", ">0</max_time>")))
     assert made.scene.duration == 360.0

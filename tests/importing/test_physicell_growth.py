@@ -143,19 +143,85 @@ def test_cells_whose_cytoplasm_or_water_stays_do_not_grow(project):
         assert made.scene.growth.volume_doubling_time > 1e9
 
 
-def numbers_by_volume(seed, hours, count, rate, step=0.5):
-    """Return how many cells there are under a rule by which their volume lets them divide.
+class Parts:
+    """PhysiCell's volumes, a second program: solids go to their targets, water to its part of all.
 
-    A second program: each grows back to its volume and divides at the rate of the rule.
+    Columns of ``now``, µm³: solids of the nucleus and of the cytoplasm, and water.
     """
-    rng, volume = np.random.default_rng(seed), np.full(count, VOLUME)
+
+    FLUID, NUCLEUS = 0.75, 540.0
+    RATES = np.array([0.0055, 0.0045, 0.05])  # 1/min
+
+    def __init__(self, count, start=1.0):
+        solid = (1.0 - self.FLUID) * np.array([self.NUCLEUS, VOLUME - self.NUCLEUS])
+        self.targets = solid
+        self.now = start * np.tile([*solid, self.FLUID * VOLUME], (count, 1))
+
+    @property
+    def volume(self):
+        return self.now.sum(axis=1)
+
+    def grow(self, step):
+        water = self.FLUID * self.volume
+        for k, target in enumerate((*self.targets, water)):
+            self.now[:, k] += step * self.RATES[k] * (target - self.now[:, k])
+
+    def divide(self, which):
+        halves = np.repeat(0.5 * self.now[which], 2, axis=0)
+        self.now = np.concatenate([self.now[~which], halves])
+
+
+def chance_of(volume, least, most, half, power):
+    odds = (volume / half) ** power
+    return least + (most - least) * odds / (1.0 + odds)
+
+
+def numbers_by_volume(seed, hours, count, rule, step=0.1):
+    """Return how many cells there are under a rule by which their volume lets them divide."""
+    rng, cells = np.random.default_rng(seed), Parts(count)
     for _ in range(round(hours * 60 / step)):
-        volume = VOLUME - (VOLUME - volume) * np.exp(-rate * step)
-        odds = (volume / 2400.0) ** 8
-        chance = 0.00072 + (0.05 - 0.00072) * odds / (1.0 + odds)
-        divides = rng.random(len(volume)) < -np.expm1(-chance * step)
-        volume = np.concatenate([volume[~divides], np.repeat(0.5 * volume[divides], 2)])
-    return len(volume)
+        cells.grow(step)
+        chance = chance_of(cells.volume, *rule)
+        cells.divide(rng.random(len(chance)) < -np.expm1(-chance * step))
+    return len(cells.now)
+
+
+def time_between(cells, grow, rule, step=0.05):
+    """Return the time between divisions, min, of a cell that divides as soon as it is due."""
+    times, due, t = [], 0.0, 0.0
+    while len(times) < 12:
+        grow(cells, step)
+        due, t = due + step * float(chance_of(cells.volume, *rule)[0]), t + step
+        if due >= 1.0:
+            cells.now *= 0.5
+            due, times = 0.0, [*times, t]
+    return np.diff(times)[-1]
+
+
+@pytest.mark.parametrize("rule", [
+    (0.0, 0.17, 1200.0, 8), (0.00072, 0.05, 2400.0, 8), (0.0, 0.02, 2000.0, 4),
+])  # fmt: skip
+def test_one_rate_divides_as_often_as_solids_with_water(project, rule):
+    text = f"tumour cell,volume,increases,cycle entry,{rule[1]},{rule[2]},{rule[3]},0\n"
+    own = [('change_rate units="1/min">0.005<', 'change_rate units="1/min">0.0045<')]
+    slow = LIVE.replace("0.00072", str(rule[0]))
+    made = imported(project, slow, 1, 2, text, *own)
+    law = mc.Scene.from_dict(made.scene.to_dict()).growth
+    # V' = r (K - V) with K the volume of the settings: its half is gained in ln 2 / r
+    target = law.parameters["target"]
+    rate = np.log((target - 0.5) / (target - 1.0)) / law.volume_doubling_time * 60.0
+
+    def relax(cells, step):
+        cells.now += (1.0 - np.exp(-rate * step)) * (
+            VOLUME * np.array([[0.0, 0.0, 1.0]]) - cells.now
+        )
+
+    one, theirs = Parts(1, 0.6), time_between(Parts(1, 0.6), Parts.grow, rule)
+    assert time_between(one, relax, rule) == pytest.approx(theirs, rel=2e-3)
+    path = "volume/cytoplasmic_biomass_change_rate"
+    entry = next(e for e in made.entries if e.path.endswith(path))
+    assert f"{rate:.4g} for " in entry.note
+    assert 0.5 * 0.0045 < rate < 0.9 * 0.0045
 
 
 def test_a_rule_about_volume_lets_cells_divide_when_they_have_grown(project):
@@ -164,10 +230,10 @@ def test_a_rule_about_volume_lets_cells_divide_when_they_have_grown(project):
     slower = ('change_rate units="1/min">0.005<', 'change_rate units="1/min">0.0045<')
     made = imported(project, LIVE, 4, 10, rules, slower)
     numbers = [len(finished(quick(made, seed=n), threads=1).cells) for n in range(2)]
-    rate = whole_rate(**{**RATES, "cytoplasm": 0.0045})
-    expected = [numbers_by_volume(seed, 4, 100, rate) for seed in range(50)]
-    assert abs(np.mean(numbers) - np.mean(expected)) < 3.5 * np.std(expected)
-    assert np.mean(numbers) < 1.1 * 2.95 * 100
+    rule = 0.00072, 0.05, 2400.0, 8
+    expected = [numbers_by_volume(seed, 4, 100, rule) for seed in range(10)]
+    assert np.mean(expected) == pytest.approx(2.95 * 100, rel=0.03)
+    assert np.mean(numbers) == pytest.approx(np.mean(expected), rel=0.1)
 
 
 def ki67(hours, count, cycle, seed):

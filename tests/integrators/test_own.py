@@ -90,6 +90,7 @@ def test_a_run_is_resumed_when_the_method_is_given_again(mine, tmp_path):
     assert mc.load_result(tmp_path / "out").scene.integrator.method == f"{mine}:Midpoint"
 
 
+@pytest.mark.slow
 def test_the_command_line_runs_resumes_and_compares(mine, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     settings = [word for key, value in SCENE.items() for word in ("--set", f"{key}={value}")]

@@ -65,7 +65,7 @@ def test_a_method_is_named_in_its_own_file_only():
     expected = dict.fromkeys(names, 1)
     # what references are solved by, what auto weighs and a hint recommends
     allowed = {"comparison/reference.py", "integrators/auto.py", "integrators/driver.py"}
-    allowed |= {"comparison/stability_limits/search.py"}
+    allowed |= {f"comparison/stability_limits/{name}.py" for name in ("search", "truth")}
     # networks inside cells have methods of their own
     allowed |= {"networks/methods.py", "scene/networks.py"}
     allowed |= {"comparison/stability_limits/networks.py"}

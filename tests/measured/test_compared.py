@@ -133,3 +133,14 @@ def test_commands_draw_data_over_runs_and_studies(folder, run, tmp_path):
     done = CliRunner().invoke(main, ["plot", str(folder / "run"), "--where", "a=1", "-o", "b.png"])
     assert done.exit_code == 2
     assert "belong to --data" in done.output
+
+
+def test_rows_of_the_command_are_single_specimens_where_it_says_so(folder, run, tmp_path):
+    """Their scatter is the error then, not the 10 % of data that come without one."""
+    data, said = tmp_path / "pairs.csv", []
+    data.write_text("Hour,Diameter (um)\n4,11\n4,12\n6,12\n6,14\n")
+    for kind in ("same", "single"):
+        names = ("--data", data, "--columns", 'hour=Hour, diameter="Diameter (um)"')
+        picture = tmp_path / f"{kind}.png"
+        said.append(invoke("plot", folder / "run", *names, "--specimens", kind, "-o", picture))
+    assert ["have one of 10 %" in done.output for done in said] == [True, False]

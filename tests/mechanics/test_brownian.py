@@ -234,6 +234,7 @@ def test_pairs_in_contact_follow_boltzmann():
     is_variance(found - found.mean(), spread**2)
 
 
+@pytest.mark.slow
 def test_weak_order_by_regression():
     """Mean square lengths of pairs by steps that are halves of each other, on one path."""
     kappa, length = 2 * STIFFNESS / DRAG, 2 * RADIUS

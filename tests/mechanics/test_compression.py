@@ -296,6 +296,7 @@ def end(scene):
     return simulation
 
 
+@pytest.mark.slow
 def test_cells_that_grow_in_a_box_fill_it_and_no_more():
     """At a critical pressure of 0.1 kPa; wall and virial pressure agree."""
     row = end(growing(compression={})).history_row()

@@ -41,6 +41,7 @@ def run(scene, folder, **options):
     return mc.run(scene, output=folder, report=False, threads=1, **options)
 
 
+@pytest.mark.slow
 def test_a_run_does_not_need_the_file_that_its_network_was_read_from(scene, tmp_path, forks):
     whole = run(scene, tmp_path / "whole")
     assert len(whole.frames) == 3

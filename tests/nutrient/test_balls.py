@@ -350,7 +350,7 @@ def test_the_reported_error_of_a_lone_cell_is_not_below_the_true_one(spacing):
     """Its own contribution, between cubes that do not resolve it; by the closed form."""
     cell = np.zeros((1, 3)), np.array([6.0])
     _, found, reported, _ = orders.solved(spacing, cell, margin=24.0, half_saturation=1e-9)
-    taken = 20.0 * (1.2 / 6.0 - 1.0 / 24.0) / (4.0 * np.pi * 2000.0)
+    taken = 20.0 * (1.2 / 6.0 - 1.0 / (orders.HARMONIC * 48.0)) / (4.0 * np.pi * 2000.0)
     true = abs(found[0] - (0.1 - taken))
     assert true <= reported < 2.5 * true
 

@@ -166,6 +166,22 @@ def test_uptake_that_ends_within_the_step_counts():
     assert marched(equation, state, 10.0)[1]["steps"] > 1
 
 
+@pytest.mark.parametrize(
+    ("capacity", "production", "holds"), [(0.0, 0.0, True), (0.0, 2.0, False), (1.0, 0.0, False)]
+)
+def test_cells_that_leave_within_the_step_count_where_they_exchange(capacity, production, holds):
+    """Their secretion ends at once, at a time of their own: that is no line."""
+    equation, state = placed("mixed sides, decay")
+    each, one = equation.substances["signal"], np.ones(1)
+    cell = POSITION[:1], RADIUS[:1], capacity * one, production * one
+    each.let_leave(*cell, np.array([4.0]))
+    assert linear.is_linear(each) is holds
+    _, info = marched(equation, state, 10.0)
+    assert (info["steps"] == 1) is holds
+    secreted = info["amounts"][0][BALANCE_COLUMNS.index("secreted")]
+    assert secreted == pytest.approx(40.0 * 10.0 + 4.0 * production, rel=1e-6)
+
+
 def test_phi_functions_at_all_arguments():
     """Against series with 60 terms in exact fractions."""
     from fractions import Fraction

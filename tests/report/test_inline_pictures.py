@@ -143,3 +143,9 @@ def test_a_page_holds_a_picture_without_its_title():
     assert night[0, 0].tolist() == [0x18, 0x23, 0x2A]
     assert shown.subtitle == "what is shown"
     assert drawn[0, 0].tolist() == [255, 255, 255]
+
+
+def test_the_file_beside_a_page_is_the_picture_with_its_title(tmp_path):
+    path = tmp_path / "picture.png"
+    inline_picture(titled(), path)
+    assert path.read_bytes() == style.render(titled(), "png")

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from synthetic import SCENE, ball, cells_at, spheroid
 
 from multicell.cells import State
 from multicell.report.plots.run import Plots
-from multicell.report.plots.section import LABEL, necrotic_share
+from multicell.report.plots.section import LABEL, _smooth, necrotic_share
 
 
 def core(radius, count=4000):
@@ -50,3 +51,12 @@ def test_no_line_without_dead_cells_or_round_few_of_them():
 def test_the_legend_names_no_line_that_is_not_drawn():
     figure = Plots([spheroid(500)], {}, SCENE).section()
     assert LABEL not in {text.get_text() for x in figure.legends for text in x.get_texts()}
+
+
+@pytest.mark.parametrize("width", [0.7, 4.0])
+def test_smoothing_is_that_of_scipy(width):
+    values = np.random.default_rng(3).random((40, 23))
+    values[:5] = 0.0
+    found = _smooth(values, width)
+    expected = gaussian_filter(values, width, mode="constant", truncate=9.0)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-14)

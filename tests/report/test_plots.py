@@ -15,7 +15,7 @@ from multicell.cells import Cells, State
 from multicell.errors import OutputError
 from multicell.report.plots import style as drawing
 from multicell.report.plots.run import Plots
-from multicell.report.plots.section import slice_at
+from multicell.report.plots.section import refine, slice_at
 from multicell.report.plots.style import save_figure
 from multicell.report.result import Result, history_columns
 from multicell.report.wording import clock, time_unit
@@ -173,3 +173,18 @@ def test_report_refuses_a_folder_that_cannot_be_written(result, tmp_path):
     (tmp_path / "file").write_text("x")
     with pytest.raises(OutputError, match="Not a directory"):
         result.report(tmp_path / "file" / "out")
+
+
+def test_a_refined_section_goes_smoothly_through_its_points():
+    x, y = np.meshgrid(np.arange(7.0), np.arange(5.0), indexing="ij")
+    values = (x**2 + 3.0 * y)[:, :, None]
+    fine = refine(Field("oxygen", "mM", np.zeros(3), 10.0, values), 0.0)[2].T
+    np.testing.assert_array_equal(fine[::4, ::4], values[:, :, 0])
+    inside = fine[4:21, 0]  # at the ends slopes are those of lines
+    np.testing.assert_allclose(inside, np.linspace(1.0, 5.0, 17) ** 2, rtol=1e-14)
+
+
+def test_a_section_of_one_row_is_refined_along_it():
+    values = np.arange(4.0).reshape(4, 1, 1)
+    fine = refine(Field("oxygen", "mM", np.zeros(3), 10.0, values), 0.0)[2]
+    np.testing.assert_allclose(fine, [np.linspace(0.0, 3.0, 13)])

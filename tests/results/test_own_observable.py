@@ -126,6 +126,7 @@ def test_runs_of_a_fit_load_and_measure_it(file):
     assert large.values[0] == pytest.approx(1.44 * small.values[0], rel=0.02)
 
 
+@pytest.mark.slow
 def test_workers_of_studies_load_it(file, tmp_path):
     scene = GROWING.with_observables(mc.load_observable(f"{file}:surface"))
     made = mc.study(scene, vary={"cells.division_radius": ["5 um", "6 um"]}, output=tmp_path / "s")

@@ -49,6 +49,7 @@ def made(tmp_path_factory):
 
 
 @pytest.mark.skipif(shutil.which("strace") is None, reason="there is no strace")
+@pytest.mark.slow
 def test_content_is_on_disk_before_a_name_and_the_folder_after_it(made):
     _, made = made
     renamed = [(k, call) for k, call in enumerate(made) if call[0] == "rename"]

@@ -338,6 +338,7 @@ def test_a_frame_of_a_table_without_frames_is_refused(tmp_path):
         scene_of(path, "x=X um, y=Y um, z=Z um", frame=2)
 
 
+@pytest.mark.slow
 def test_a_row_of_a_long_table_takes_bounded_memory(tmp_path):
     """Of ten columns four are needed: 8 bytes a number, and lines; text is gone by then."""
     head, *rows = trackmate().splitlines()[:1] + trackmate().splitlines()[4:5]

@@ -153,6 +153,7 @@ def test_every_quantity_of_a_written_scene_has_its_unit(name):
     assert {"s", "um", "kPa", "kPa s"} <= check_units(load_scene(name))
 
 
+@pytest.mark.slow
 def test_every_declared_key_is_drawn_and_every_quantity_written_with_its_unit():
     """A key of a new kind needs a way to be drawn: ``Parameter.kind``, or ``examples``."""
     made, seen, units = set(), set(), set()

@@ -11,6 +11,7 @@ from multicell.biology.plan import biology_plan
 from multicell.biology.responding import rate_of_harm
 from multicell.biology.states import deaths
 from multicell.cells import State
+from multicell.random import Purpose, thresholds
 from multicell.report.explain.scene import explain
 from multicell.scene.steps import StepPlan, step_plan
 
@@ -115,6 +116,7 @@ def test_a_threshold_acts_for_as_long_as_the_signal_is_beyond_it(kind, step):
 
 @pytest.mark.parametrize("behaviour", ["necrosis rate", "apoptosis rate"])
 @pytest.mark.parametrize("kind", FIELDS)
+@pytest.mark.slow
 def test_the_same_cells_die_at_each_length_of_step(kind, behaviour):
     """Survivors are exp(-integral of the hazard), and each cell has one draw for all lengths."""
     rate = LAWS["hill"][1]
@@ -180,6 +182,7 @@ def test_all_that_is_scheduled_ends_a_step():
     assert simulation.step_index == simulation.steps == 18
 
 
+@pytest.mark.slow
 def test_runs_with_steps_of_several_lengths_are_resumed_and_prolonged_to_the_bit(tmp_path):
     responses = harm("hill", "0.5 1/h", "apoptosis rate", half="0.4 mM")
     scene = described(
@@ -256,6 +259,7 @@ def killed(step, **changes):
     return int(simulation.cells.dead.sum()), abs(simulation.exposures["error"])
 
 
+@pytest.mark.slow
 def test_a_pulse_that_cells_shield_each_other_from_kills_at_each_length_of_step():
     """Cells of one size; read at the ends of steps, 15 and 10 min let half of them live."""
     dead = [killed(f"{step} min", growth=None)[0] for step in (15, 10, 2.5, 1)]
@@ -263,12 +267,16 @@ def test_a_pulse_that_cells_shield_each_other_from_kills_at_each_length_of_step(
     np.testing.assert_allclose(dead, dead[-1], rtol=0.05)
 
 
-def test_deaths_that_expose_others_in_the_same_step_are_in_the_reported_error():
-    fine = killed("1 min", seed=0)[0]
-    for step in ("10 min", "5 min"):
-        dead, reported = killed(step, seed=0)
-        assert abs(dead - fine) > 3  # more than the rates alone say, which is below one
-        assert 0.5 * abs(dead - fine) < reported < 5.0 * abs(dead - fine)
+@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.slow
+def test_deaths_that_expose_others_in_the_same_step_are_not_missed(seed):
+    """With growth: what is left is where divisions at the ends of steps put cells, and reported."""
+    fine = killed("1 min", seed=seed)[0]
+    for step in ("10 min", "5 min"):  # with one correction a sixth to a quarter is missing
+        dead, reported = killed(step, seed=seed)
+        assert abs(dead - fine) < 0.08 * fine
+        assert abs(dead - fine) < 3.0 * reported + 1.0
+        assert reported < 8.0
 
 
 def test_a_dose_that_comes_and_goes_within_a_step_kills_at_once():
@@ -288,8 +296,6 @@ def test_a_dose_that_comes_and_goes_within_a_step_kills_at_once():
 
 def test_thresholds_are_exponential_and_belong_to_the_cell():
     from scipy import stats
-
-    from multicell.random import Purpose, thresholds
 
     ids = np.arange(20_000)
     found = thresholds(3, Purpose.NECROSIS, 0, ids)
@@ -371,7 +377,9 @@ def test_what_kills_by_rate_and_at_once_is_noted_apart():
     cells, found = simulation.cells, simulation.concentrations
     dying = deaths(plan, cells, found, Exposure(cells, found, 100.0 * HOUR))
     assert np.isfinite(dying.necrosis).all()
-    np.testing.assert_allclose(dying.columns["necrosis_hazard"], 100.0)
+    # of the 100 of the whole time each cell has had its own until it died
+    own = thresholds(3, Purpose.NECROSIS, 0, cells.id)
+    np.testing.assert_allclose(dying.columns["necrosis_hazard"], own, rtol=1e-9)
     assert cells.necrosis_hazard is None
     np.testing.assert_allclose(rate_of_harm(plan, "necrosis rate", found, cells) * HOUR, 1.0)
 

@@ -39,9 +39,10 @@ def test_exponential_growth():
 
 
 STARVED = mc.Scene.from_dict(
-    {"duration": "1 h", "coupling_step": "10 min", "initial": {"count": 16000, "spacing": 0.9914},
+    {"duration": "10 min", "coupling_step": "10 min",
+     "initial": {"count": 16000, "spacing": 0.9914},
      "cells": {"division_radius": "10 um"}, "drag": {"viscosity": 1e6}, "contact": {"law": "hertz"},
-     "death": {"lysis_time": "1000 d", "necrosis_rate": "20 1/h"},
+     "death": {"lysis_time": "1000 d"},
      "nutrients": {"oxygen": {
          "diffusion": 2000, "boundary": 0.03, "uptake_per_volume": 0.02, "half_saturation": 1e-5,
          "quiescent_uptake": 1.0, "necrosis": 5e-4, "geometry": "radial", "spacing": 2.5,
@@ -50,22 +51,19 @@ STARVED = mc.Scene.from_dict(
 
 
 def rim(boundary, radius, uptake):
-    """Return the rim of a ball whose cells die where they find less than 5e-4 mM.
+    """Return the rim of a ball whose cells die at once where they find less than 5e-4 mM.
 
-    While all of them live they use up D c'' + 2 D c' / r = q down to where nothing is left, so that
-    c(r) = q/6D (r² - 3 a² + 2 a³/r) outside that ball of radius a, and a layer of 1 um of medium is
-    around the tissue.
+    The dead take up nothing, so that the core has 5e-4 mM, and nothing flows into it. Around it
+    D c'' + 2 D c' / r = q, so that c(r) = 5e-4 + q/6D (r² - 3 a² + 2 a³/r) outside a core of radius
+    a, and a layer of 1 um of medium is around the tissue.
     """
 
-    def level(r, a):
-        return uptake / 12000.0 * (r**2 - 3.0 * a**2 + 2.0 * a**3 / r)
-
     def missing(a):
+        level = 5e-4 + uptake / 12000.0 * (radius**2 - 3.0 * a**2 + 2.0 * a**3 / radius)
         outside = uptake / 6000.0 * (radius**3 - a**3) * (1.0 / radius - 1.0 / (radius + 1.0))
-        return level(radius, a) + outside - boundary
+        return level + outside - boundary
 
-    empty = optimize.brentq(missing, 1e-3, radius)
-    return radius - optimize.brentq(lambda r: level(r, empty) - 5e-4, empty, radius)
+    return radius - optimize.brentq(missing, 1e-3, radius)
 
 
 @pytest.mark.slow

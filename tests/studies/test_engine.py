@@ -291,6 +291,7 @@ def test_workers_leave_this_process_as_it_was():
     assert [logger.level for logger in loggers] == levels
 
 
+@pytest.mark.slow
 def test_a_script_needs_no_guard(tmp_path):
     """Processes that start afresh would run the script again that has started them."""
     script = tmp_path / "script.py"

@@ -38,6 +38,7 @@ def ended(*processes):
         process.wait(20)
 
 
+@pytest.mark.slow
 def test_workers_are_used_that_others_have_started(cluster, tmp_path):
     said = refused(short_runs(1), tmp_path, cluster)
     assert "has no workers" in said
@@ -51,6 +52,7 @@ def test_workers_are_used_that_others_have_started(cluster, tmp_path):
     ended(worker)
 
 
+@pytest.mark.slow
 def test_workers_that_cannot_run_scenes_as_we_do_are_named(cluster, tmp_path):
     runs, study = short_runs(1), tmp_path / "study"
     hidden = "import sys; sys.modules['multicell'] = None"

@@ -120,6 +120,7 @@ def test_ctrl_c_ends_runs_between_two_steps_and_leaves_nobody(undisturbed, tmp_p
     assert_complete(tmp_path, whole)
 
 
+@pytest.mark.slow
 def test_ctrl_c_at_the_very_beginning(tmp_path):
     for delay in (1.2, 1.6):
         process = started(tmp_path, COUNT)

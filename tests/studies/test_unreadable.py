@@ -17,19 +17,24 @@ from multicell.studies.engine import run_study
 from multicell.studies.status import NOTE, RunStatus
 
 
-@pytest.fixture
-def study(tmp_path):
-    """Return the folder of a study of three runs, which another one is a copy of."""
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    """Return a study of three runs, which each test copies."""
     scene = short_runs(1)[0].scene
-    made = mc.study(scene, seeds=3, output=tmp_path / "study")
+    made = mc.study(scene, seeds=3, output=tmp_path_factory.mktemp("made") / "study")
     made.run(cores=1)
     return made
 
 
 @only_root
 @pytest.mark.harness
-@pytest.mark.parametrize("file", ["frames.h5", "summary.json", "scene.toml", "."])
-@pytest.mark.parametrize("retry", [False, True])
+@pytest.mark.parametrize(
+    ("file", "retry"),
+    [
+        *((file, True) for file in ("frames.h5", "summary.json", "scene.toml", ".")),
+        *((file, False) for file in ("frames.h5", ".")),
+    ],
+)
 def test_what_another_user_may_not_read_is_never_removed(file, retry, study, forks, tmp_path):
     first, second, _ = study.plan.names
     with open_folder() as place:

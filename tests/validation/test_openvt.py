@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import brentq
-from scipy.spatial import Delaunay
 from scipy.stats import truncnorm
+from sorting import mixed
 
 import multicell as mc
 
@@ -122,16 +122,7 @@ def test_monolayer_grows_by_the_euler_lotka_rate_and_linearly_if_inhibited(compa
 # --- cell sorting --------------------------------------------------------------------------------
 
 
-def mixed(frame):
-    """Return the part of contacts between types, of neighbours by Delaunay within 1.5 diameters."""
-    place = frame.cells.position[:, :2]
-    corners = Delaunay(place).simplices
-    edges = np.unique(np.sort(corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0)
-    near = np.linalg.norm(place[edges[:, 0]] - place[edges[:, 1]], axis=1) < 15.0
-    first, second = frame.cells.kind[edges[near]].T
-    return float((first != second).mean())
-
-
+@pytest.mark.slow
 def test_two_types_sort_or_mix_by_their_adhesion():
     scene = mc.load_scene("openvt-sorting").with_changes({"duration": "30 h"})
     last = []

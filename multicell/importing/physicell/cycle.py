@@ -12,6 +12,7 @@ from multicell.cells import SPHERE
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, CellDefinition, Model
 from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
+from multicell.importing.physicell.water import DivisionRate, rate_with_water
 from multicell.units import whole_number
 
 if TYPE_CHECKING:
@@ -193,13 +194,31 @@ def _set_growth(
     if law.target != target:  # some cells are larger at the start than those that divide
         for phase in growth["phases"].values():
             phase["target_scale"] = phase.get("target_scale", 1.0) * target / law.target
+    rates = {kind: _growth_rate(model, kind, cycle) for kind, cycle in known.items()}
     for kind in (lead, *known):
-        rate = min(max(_pace(kind), _PACES[0]), _PACES[1])
+        rate = min(max(rates[kind], _PACES[0]), _PACES[1])
         time = law.exponent * MINUTE / rate
         if kind is lead:
             growth["volume_doubling_time"] = time
         elif time != growth["volume_doubling_time"]:
             model.of_type(kind, "volume_doubling_time", time)
+
+
+def _growth_rate(model: Model, kind: CellDefinition, cycle: Cycle) -> float:
+    """Return the rate of growth of a type, 1/min, which a rule about its volume makes another."""
+    rate, entry = _pace(kind), cycle.rates[0]
+    for rule in _exits(model, kind, 0):
+        if cycle.model.doubles_before or rule.signal != "volume" or rule.end <= entry:
+            continue
+        found = rate_with_water(kind, DivisionRate(entry, rule.end, rule.half, rule.power))
+        if rate == 0.0 or found is None:
+            continue
+        note = f"{found:.4g} for {rate:.4g} 1/min: a rule about volume lets cells divide as often "
+        note += "as PhysiCell's, whose water follows the solids"
+        key = "growth.volume_doubling_time"
+        model.account.take(kind.own(f"volume/{next(iter(_RATES))}"), Fate.APPROXIMATED, key, note)
+        return found
+    return rate
 
 
 def _set_start(model: Model, known: Mapping[CellDefinition, Cycle], lead: CellDefinition) -> None:

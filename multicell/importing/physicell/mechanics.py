@@ -22,7 +22,7 @@ _AFFINITIES = "mechanics/cell_adhesion_affinities", "cell_adhesion_affinity"
 _REPULSION = "mechanics/cell_cell_repulsion_strength"
 _RANGE = "mechanics/relative_maximum_adhesion_distance"
 _MOST = 0.99
-"""Most adhesion over repulsion: such cells rest at 0.025 of the sum of their radii."""
+"""Most adhesion over repulsion: it draws two cells to 0.025 of the sum of their radii."""
 _LENGTH = 1.0
 _POISSON = 0.5  # incompressible; moduli are chosen for it
 _COMPLIANCE = 0.75 * (1.0 - _POISSON**2)

@@ -21,6 +21,7 @@ _BINS_PER_CELL = 24  # most bins for each cell: scattered cells get wider ones
 _SPARE_BINS = 4096  # and for few cells: 32 kB of counts
 SLICES = 4  # bins along x for each along y and z
 _LARGEST = 6  # column of ``extent`` behind both corners: the largest radius of a chunk
+_X, _Y, _Z = np.arange(3)  # axes; with literals each would have its own functions compiled
 SEARCHED = 512  # candidates that are tested in one go
 
 
@@ -105,9 +106,9 @@ def _bin_along(x, axis, largest, low, shape):
 def _assign(c, chunk, position, largest, low, shape, bin_of):
     """Write the bins of a chunk's cells."""
     for i in range(np.uint64(c * chunk), np.uint64(min((c + 1) * chunk, bin_of.size))):
-        ix = _bin_along(position[i, 0], 0, largest, low, shape)
-        iy = _bin_along(position[i, 1], 1, largest, low, shape)
-        iz = _bin_along(position[i, 2], 2, largest, low, shape)
+        ix = _bin_along(position[i, 0], _X, largest, low, shape)
+        iy = _bin_along(position[i, 1], _Y, largest, low, shape)
+        iz = _bin_along(position[i, 2], _Z, largest, low, shape)
         bin_of[i] = (iz * shape[1] + iy) * shape[0] + ix
 
 
@@ -198,7 +199,7 @@ def sparse_bins(position, radius, skin):
         width = max(width, radius[i] + 0.5 * skin)
     width *= 2.0
     number, key, edge = np.empty((4, n)), np.empty(n), np.empty(n)
-    order, stride, count = np.empty(0, np.int32), n + 2.0, 0
+    order, stride, count = np.empty(0, np.int32), n + 2.0, np.int64(0)
     # along x, y and z, rows along x, and places in rows: sorted by one call, which compiles once
     for sort in range(5):
         for i in range(n):
@@ -212,7 +213,7 @@ def sparse_bins(position, radius, skin):
         order = _stable_order(key)
         if sort == 4:
             break
-        count, gap = 0, width if sort < 3 else 0.0
+        count, gap = np.int64(0), width if sort < 3 else 0.0
         for k in range(n):
             i = order[k]
             # compared as a sum of halves, which cannot overflow
@@ -268,8 +269,8 @@ def row_of(bins, a):
     """Return the row of place ``a`` in a dense grid, its bins along y and z."""
     if bins.shape[0] == 0:
         return 0, 0
-    iy = _bin_along(bins.cells[a, 1], 1, bins.largest, bins.low, bins.shape)
-    return iy, _bin_along(bins.cells[a, 2], 2, bins.largest, bins.low, bins.shape)
+    iy = _bin_along(bins.cells[a, 1], _Y, bins.largest, bins.low, bins.shape)
+    return iy, _bin_along(bins.cells[a, 2], _Z, bins.largest, bins.low, bins.shape)
 
 
 @njit(**INLINED)

@@ -272,7 +272,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         """
         nodes = self.nodes(start)
         for each in self.substances.values():
-            each.set_time(t)
+            each.set_time(t, dt)
         earlier = None if before is None else self.nodes(before)
         if self.reactions is not None:
             found, reports = self.reactions.solution(nodes, t, dt, earlier)

@@ -50,12 +50,12 @@ class LinearCourse:
     ) -> None:
         self.each, self.begin, self.last, self.length = each, begin, last, end - begin
         assert isinstance(each.operator, Diffusion)
-        first, final_ = each.gain(begin), each.gain(last)
+        before, after = each.gain(begin), each.gain(last)
         self.operator = each.operator
         transformed = self.operator.to_modes
-        change = None if np.array_equal(first, final_) else transformed(final_ - first)
+        change = None if np.array_equal(before, after) else transformed(after - before)
         self._modes = _Modes(
-            transformed(np.array(c.reshape(each.shape))), transformed(first), change
+            transformed(np.array(c.reshape(each.shape))), transformed(before), change
         )
         self._along, ay, az = self.operator.eigenvalues
         self._across = ay[:, None] + (az + each.linear)
@@ -97,13 +97,13 @@ class LinearCourse:
 
 
 def is_linear(each: PlacedSubstance) -> bool:
-    """Whether a substance on a box has one coefficient of diffusion, and no cell takes it up.
+    """Whether a substance on a box has one coefficient of diffusion, and gains linearly in time.
 
     Where a layer of medium ends inside of the box, no transform makes A diagonal.
     """
     op = each.operator
     uniform = isinstance(op, Diffusion) and op.varied is None and op.exchange is None
-    return uniform and not each.taken
+    return uniform and each.gains_linearly
 
 
 def _phi(z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

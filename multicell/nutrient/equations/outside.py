@@ -158,6 +158,8 @@ def bring(
         problem.last = float(np.nextafter(stop, -np.inf))
         ends = np.linspace(start, stop, 2 if watch is None else _PARTS + 1)
         for one, other in itertools.pairwise(ends):
+            for each in equation.substances.values():
+                each.set_time(float(other), float(other - one))
             steps += _run(problem, name, state, float(one), float(other), tolerance, scales)
             if watch is not None:
                 watch(float(other), problem.taken(state)[0])

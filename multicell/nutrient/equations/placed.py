@@ -20,6 +20,7 @@ from multicell.nutrient.uptake import uptake_and_slope
 
 _Spread = tuple[FloatArray, FloatArray, float]
 _Course = tuple[float, float, _Spread, _Spread]
+_Leaving = tuple[_Spread, FloatArray, FloatArray | None, FloatArray, FloatArray | None, FloatArray]
 
 
 @final
@@ -78,6 +79,7 @@ class PlacedSubstance:
         )
         self._gained: tuple[float, FloatArray] | None = None
         self._course: _Course | None = None
+        self._leaving: _Leaving | None = None
 
     def _spread(
         self,
@@ -107,15 +109,43 @@ class PlacedSubstance:
         first = self._spread(position, radius, capacity, production)
         self._course = begin, end, first, (self.sink, self.secreted, self._production)
 
-    def set_time(self, t: float) -> None:
-        """Take the demand of a time in s, where it changes."""
-        if self._course is None:
+    def let_leave(
+        self,
+        position: FloatArray,
+        radius: FloatArray | None,
+        capacity: FloatArray,
+        production: FloatArray | None,
+        leave: FloatArray,
+    ) -> None:
+        """Add cells that exchange until they leave, at times (k,) in s, and not thereafter."""
+        stay = self.sink, self.secreted, self._production
+        self._leaving = stay, position, radius, capacity, production, leave
+
+    def set_time(self, t: float, dt: float = np.inf) -> None:
+        """Take the demand of a time in s, where it changes.
+
+        Cells that leave count by the part of the last ``dt`` s for which they are there; where that
+        is infinite, as they are at ``t``.
+        """
+        if self._course is None and self._leaving is None:
             return
-        begin, end, first, last = self._course
-        part = (t - begin) / (end - begin)
-        self.sink = (1.0 - part) * first[0] + part * last[0]
-        self.secreted = (1.0 - part) * first[1] + part * last[1]
-        self._production = (1.0 - part) * first[2] + part * last[2]
+        if self._course is not None:
+            begin, end, first, last = self._course
+            part = (t - begin) / (end - begin)
+            self.sink = (1.0 - part) * first[0] + part * last[0]
+            self.secreted = (1.0 - part) * first[1] + part * last[1]
+            self._production = (1.0 - part) * first[2] + part * last[2]
+        if self._leaving is not None:
+            stay, position, radius, capacity, production, leave = self._leaving
+            if self._course is None:
+                self.sink, self.secreted, self._production = stay
+            share = (leave >= t) * 1.0
+            if np.isfinite(dt):
+                share = np.clip((leave - t) / dt + 1.0, 0.0, 1.0)
+            product = None if production is None else share * production
+            sink, secreted, made = self._spread(position, radius, share * capacity, product)
+            self.sink, self.secreted = self.sink + sink, self.secreted + secreted
+            self._production = self._production + made
         self._gained = None
 
     def _scale(self) -> None:
@@ -192,9 +222,13 @@ class PlacedSubstance:
         return np.asarray(self.at(level).brought() + self.supply(level))
 
     @property
-    def taken(self) -> bool:
-        """Whether cells take it up, now or in the course of the demand."""
-        return bool(self.sink.any() or (self._course is not None and self._course[2][0].any()))
+    def gains_linearly(self) -> bool:
+        """Whether nobody takes it up, and all that nodes gain changes linearly in time."""
+        sinks = [self.sink] if self._course is None else [self.sink, self._course[2][0]]
+        if self._leaving is not None:
+            _, _, _, capacity, production, _ = self._leaving
+            sinks += [capacity] if production is None else [capacity, production]
+        return not any(sink.any() for sink in sinks)
 
     def rate(self, c: FloatArray, t: float) -> tuple[FloatArray, FloatArray]:
         """Return dc/dt (mM/s) and what uptake and decay add to it for each mM less (1/s)."""

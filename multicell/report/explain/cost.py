@@ -47,6 +47,9 @@ _STEP: Final = 7e-4  # s of a coupling step whatever it holds
 _EVALUATION: Final = 5e-6  # s of an evaluation of all forces
 _CELL_EVALUATION: Final = 2.1e-7  # and for each cell: forces, lists, and a share of everything else
 _FRICTION: Final = 5.0  # times as much where cells rub: velocities are solved for
+_NETWORK: Final = 1e-7  # s of a network in a cell and step
+_NETWORK_RATE: Final = 5e-9  # and for each evaluation and state, and one more, with linear algebra
+_STAGES: Final = 4.0  # evaluations of a step of a fixed length
 _FIELD: Final = 4e-4  # s of a field in a step
 _NODE_STEP: Final = 1.7e-7  # and for each node
 
@@ -105,7 +108,38 @@ def cost_of_step(scene: Scene) -> tuple[float, float]:
     """Return the cost of a coupling step without its fields: for itself, and for each cell, s."""
     count = evaluations(scene)
     rubbing = _FRICTION if scene.friction is not None else 1.0
-    return _STEP + count * _EVALUATION, count * _CELL_EVALUATION * rubbing
+    inside = sum(network_cost(scene, name)[1] for name in scene.networks)
+    return _STEP + count * _EVALUATION, count * _CELL_EVALUATION * rubbing + inside
+
+
+def network_cost(scene: Scene, name: str) -> tuple[float, float]:
+    """Return the evaluations of a network in a cell and coupling step, and their cost, s.
+
+    The cost is that of a mean cell of the scene: some types may have no such network. It is 0
+    where nothing is known.
+    """
+    from multicell.networks.expected import network_evaluations
+
+    part = scene.networks[name]
+    if part.step is not None:
+        count = _STAGES * scene.coupling_step / part.step
+    else:
+        count = network_evaluations(
+            part.model, scene.coupling_step / part.seconds(), part.tolerance
+        )
+    if math.isnan(count):
+        return count, 0.0
+    each = _NETWORK_RATE * (1 + len(part.model.states))
+    return count, (_NETWORK + each * count) * _share(scene, part.cells)
+
+
+def _share(scene: Scene, cells: str | None) -> float:
+    """Return the part of the cells at the start that are of some types."""
+    if cells is None:
+        return 1.0
+    fractions = {kind: part.fraction for kind, part in scene.types.items()}
+    named = [name.strip() for name in cells.split(",")]
+    return sum(fractions[name] for name in named) / (sum(fractions.values()) or 1.0)
 
 
 def evaluations(scene: Scene) -> float:
@@ -157,7 +191,8 @@ def _is_linear(scene: Scene, name: str) -> bool:
     nutrient = scene.nutrients[name]
     plain = nutrient.diffusion_medium is None and nutrient.finite_medium is None
     cubes = nutrient.layout == "box" or scene.dimensions == 2
-    used = nutrient.takes_up or group_of(name, scene.reactions)
+    by_network = any(name in (part.fluxes or {}) for part in scene.networks.values())
+    used = nutrient.takes_up or by_network or group_of(name, scene.reactions)
     return plain and cubes and not used
 
 

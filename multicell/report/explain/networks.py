@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 from multicell.behaviours.catalogue import value_around
+from multicell.report.explain.cost import network_cost
 from multicell.scene.conditions import conditions
 from multicell.scene.networks import flux_of
 from multicell.scene.scene import Scene
 
 
 def network_words(scene: Scene, name: str) -> str:
-    """Return the states, inputs and outputs of a network, its units, and its fastest rate."""
+    """Return states, inputs, outputs and units of a network, its fastest rate and its cost."""
     part = scene.networks[name]
     model, whom = part.model, f"cells of type {part.cells}" if part.cells else "all cells"
     words = [f"in {whom}", f"states {_listed(model.states)}"]
@@ -34,6 +37,12 @@ def network_words(scene: Scene, name: str) -> str:
     if bare:
         words.append(f"no unit of {_listed(bare)} is stated: base units of the scene are taken")
     words.append(_stiffness(scene, name))
+    count, seconds = network_cost(scene, name)
+    if not math.isnan(count):
+        words.append(
+            f"about {count:,.3g} evaluations a cell and coupling step, {1e6 * seconds:.2g} µs"
+            + (" without events" if model.events else "")
+        )
     control = f"tolerance {part.tolerance:g}" if part.step is None else f"steps of {part.step:g} s"
     return "; ".join([*words, f"solved by {part.method}, {control}"])
 
