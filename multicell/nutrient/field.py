@@ -49,8 +49,9 @@ class Solution(NamedTuple):
 class NutrientField:
     """One substance that diffuses, is taken up and secreted by cells, and decays.
 
-    A layer of medium without convection lies round the tissue, ``margin`` thick from the outermost
-    centres, where the faces of its grid lie and, away from these, the layer ends inside of it
+    The faces of its grid lie at ``margin`` from the outermost centres of the tissue: a layer of
+    medium without convection lies round it, always as thick as that there. Towards the corners it
+    ends inside of the grid where the parameters' ``margin_shape`` is that of the tissue
     (:mod:`multicell.nutrient.layer`). Cells that have left the
     tissue (:mod:`multicell.nutrient.tissue`) do not move the faces; beyond them they find the
     medium, and take up and give off at the nearest point of the grid, whose account has it. With a
@@ -265,13 +266,18 @@ class NutrientField:
         if radial:
             if strays:
                 tissue = cells.once(drawn_to_ball, tissue, radius)
-            widths = p.nutrient.margin, p.spacing, p.nutrient.layer
+            widths = p.nutrient.margin, p.spacing, p.nutrient.layer, p.follows_tissue
             shells = cells.once(ShellLayout.round, tissue, radius, *widths)
             outside = tissue is not position
             return shells, False, cells.once(shells.nearest, position) if outside else position
         height = p.height if p.dimensions == 2 else None
         if p.domain is None:
-            found = BoxLayout.round(tissue, p.nutrient.margin, p.spacing, height)
+            margin = p.nutrient.margin
+            if p.follows_tissue:
+                from multicell.nutrient.layer import farthest_end
+
+                margin = farthest_end(radius, margin)
+            found = BoxLayout.round(tissue, margin, p.spacing, height)
         else:
             found = BoxLayout.within(p.domain, p.spacing, height)
         same = self._layout is not None and found == self._layout
@@ -281,10 +287,10 @@ class NutrientField:
     def exchange(self, layout: Layout, cells: Tissue) -> FloatArray | None:
         """Return the rates of exchange with the medium by which the layer round the tissue ends.
 
-        None where it does not: in a domain, with sides of its own, with a finite medium, and on
-        shells, which end there. See :func:`multicell.nutrient.layer.exchange_beyond`.
+        None where it ends at the sides of the grid, as on shells. See
+        :func:`multicell.nutrient.layer.exchange_beyond`.
         """
-        if not self.parameters.open_medium or not isinstance(layout, BoxLayout):
+        if not self.parameters.follows_tissue or not isinstance(layout, BoxLayout):
             return None
         from multicell.nutrient.layer import exchange_beyond
 

@@ -13,7 +13,8 @@ from multicell.nutrient.field import NutrientField
 from multicell.nutrient.grid import ShellLayout, equivalent_ball_radius
 from multicell.nutrient.tissue import drawn_in, drawn_to_ball
 from multicell.scene import domain
-from multicell.vectors import lengths, weighted_mean
+from multicell.scene.scales import MAX_UNEVEN
+from multicell.vectors import lengths, second_moments, weighted_mean
 
 if TYPE_CHECKING:
     from multicell.cells import Cells, FloatArray
@@ -93,9 +94,7 @@ def _rate_layer(
 _AXIS, _DIAGONAL = 0.95, 0.5
 """Least largest component of a direction along an axis; least second one between axes."""
 
-_MAX_UNEVEN = 0.01
-"""Difference of concentrations at the surface of round tissue along axes and along diagonals, over
-that of the medium, from which on it is reported."""
+_MIN_CELLS = 10  # that are compared along axes, and between them
 
 
 def _direction_notes(field: NutrientField, cells: Cells, level: float) -> list[str]:
@@ -103,27 +102,33 @@ def _direction_notes(field: NutrientField, cells: Cells, level: float) -> list[s
 
     What is compared are means over the outermost cells, beyond their scatter.
     """
-    follows = field.parameters.domain is None and field.parameters.dimensions == 3
-    if not follows or len(cells) == 0 or departure(cells.position, cells.radius) > ROUND:
+    axes, size = field.parameters.dimensions, len(cells)
+    if field.parameters.domain is not None or size < 2 * _MIN_CELLS or not level > 0.0:
         return []
     away = cells.position - weighted_mean(cells.position, cells.volume)
+    moments = second_moments(away, cells.volume)[:axes, :axes] / cells.volume.sum()
+    roots = np.sqrt(np.linalg.eigvalsh(moments))
+    if not roots[0] >= (1.0 - ROUND) * roots[-1] > 0.0:
+        return []
     distance = lengths(away)
-    surface = equivalent_ball_radius(cells.position, cells.radius)
+    surface = np.sqrt((axes + 2) / axes * np.trace(moments))
     outer = distance > surface - 2.0 * float(cells.radius.max())
     direction = np.sort(np.abs(away / np.maximum(distance, 1e-9)[:, None]), axis=1)
     found = field.sample(cells.position, cells.radius)
     along = found[outer & (direction[:, 2] > _AXIS)]
     between = found[outer & (direction[:, 1] > _DIAGONAL)]
-    if min(len(along), len(between)) < 10:
+    if min(len(along), len(between)) < _MIN_CELLS:
         return []
     scatter = np.sqrt(along.var() / len(along) + between.var() / len(between))
-    uneven = float(along.mean() - between.mean())
-    if abs(uneven) <= _MAX_UNEVEN * level + 2.0 * scatter:
+    uneven = abs(float(along.mean() - between.mean()))
+    if uneven <= MAX_UNEVEN * level + 2.0 * scatter:
         return []
+    remedy = f"with nutrients.{field.name}.margin_shape = 'tissue' the medium has no corners."
+    if field.parameters.follows_tissue:
+        remedy = "a smaller spacing makes less of it."
     return [
-        f"{field.name} differs by {abs(uneven) / level:.1%} of the medium between the surface "
-        "along the axes of its grid and along the diagonals, though the tissue is round: "
-        "geometry = 'radial' has no axes."
+        f"{field.name} differs by {uneven / level:.1%} of the medium between the surface along the "
+        f"axes of its grid and along the diagonals, though the tissue is round: {remedy}"
     ]
 
 

@@ -141,7 +141,7 @@ class FieldGroup:
         strays = all(f.parameters.open_medium for f in fields)
         self.layout, self._kept, self.position = self.first.lay(tissue, strays=strays)
         self.radius = reaching(tissue.position, self.position, tissue.extent)
-        self._set_equation(tissue.radius, demand, self.exchange(self.layout, tissue))
+        self._set_equation(tissue.radius, demand, self.first.exchange(self.layout, tissue))
         first = np.array([self._first(f, time, carry) for f in fields])
         self.state = SimpleNamespace(data=first, equation=self.equation)
 
@@ -170,12 +170,6 @@ class FieldGroup:
         # zero where there is nothing; what that adds is counted as relaid
         found = take(field.values, field.layout, level)
         return found if found is field.values else np.maximum(found, 0.0)
-
-    def exchange(self, layout: Layout, tissue: Tissue) -> FloatArray | None:
-        """Return the exchange with the medium by which the layer round the tissue ends, if any."""
-        if not all(f.parameters.open_medium for f in self.fields.values()):
-            return None
-        return self.first.exchange(layout, tissue)
 
     def masses(self) -> FloatArray:
         """Return the content of each field, (m,) amol."""

@@ -9,8 +9,9 @@ nodes gives D (c_medium - c) / h already: the rate is D/h² (1/θ - 1), never ne
 equations stay an M-matrix. It is of second order in the spacing (Gibou, Fedkiw, Cheng & Kang 2002,
 J. Comput. Phys. 176:205), and continuous as the tissue moves.
 
-The layer is the balls of ``reach`` round the cells. What lies outside all of them and is not shut
-in by them is medium.
+The layer is the balls of ``margin`` round the cells, or of their own radii where these are larger.
+What lies outside all of them and is not shut in by them is medium. Gaps in tissue are none, however
+thin the layer: which nodes are shut in is decided by balls of 1.5 radii or more.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from multicell.vectors import corners, lengths
 _jit, _inner = typed(**KERNEL), typed(**INNER)
 
 _CLOSED: Final = 1.5
-"""Least reach over the radius of a cell: gaps in tissue are no medium, however thin the layer."""
+"""Reach over the radius of a cell within which gaps in tissue are no medium."""
 
 _BINS: Final = 4_000_000  # at most, by which cells inside the tissue are left out
 _BIN: Final = 2.5  # edge of a bin in radii of cells: in dense tissue few are empty
@@ -50,10 +51,11 @@ def exchange_beyond(
       ``position`` to there (:func:`multicell.nutrient.tissue.drawn_in`) reach less far by as much
     - ``radius``, (n,), ``margin``, µm: of the cells, thickness of the layer from their centres
     """
-    reach = np.maximum(margin, _CLOSED * radius)
+    reach, closed = _reaches(radius, margin)
     if tissue is not position:
-        reach = reach - lengths(position - tissue)
-        tissue, reach = tissue[reach > 0.0], reach[reach > 0.0]
+        away = lengths(position - tissue)
+        near = reach > away
+        tissue, reach, closed = tissue[near], (reach - away)[near], (closed - away)[near]
     flat, out = box.height is not None, np.empty(box.shape)
     if len(tissue) == 0:
         out.fill(HELD_RATE)
@@ -63,28 +65,48 @@ def exchange_beyond(
         tissue, first[2] = tissue * [1.0, 1.0, 0.0], 0.0
     # one node more at each end, beyond the faces
     counts = [n + 2 for n in box.shape[:2]] + [1 if flat else box.shape[2] + 2]
-    few = len(tissue) * (float(reach.max()) / box.spacing) ** 2 <= _MANY
     width = _BIN * float(radius.mean())
-    exposed = np.full(len(tissue), 255, np.uint8) if few else _exposed(tissue, reach, width)
-    distance = _distances(tissue, reach, exposed, first, box.spacing, counts)
-    _exchange(distance, _beyond(distance), flat, out)
+    distance = _distances(tissue, closed, width, first, box.spacing, counts)
+    medium = _beyond(distance)
+    opened = float((closed - reach).max()) / box.spacing
+    if opened > 0.0:
+        from scipy.ndimage import binary_dilation
+
+        distance = _distances(tissue, reach, width, first, box.spacing, counts)
+        rings = math.ceil(opened)  # towards the cells, and no farther into gaps
+        medium = binary_dilation(medium, iterations=rings, mask=distance >= 0.0).view(np.uint8)
+    _exchange(distance, medium, flat, out)
     return out
+
+
+def _reaches(radius: FloatArray, margin: float) -> tuple[FloatArray, FloatArray]:
+    """Return how far from cells the layer ends, and within which distance gaps are none, µm."""
+    return np.maximum(margin, radius), np.maximum(margin, _CLOSED * radius)
+
+
+def farthest_end(radius: FloatArray, margin: float) -> float:
+    """Return how far from the outermost centres a grid extends round the layer, µm."""
+    return max(margin, _CLOSED * float(radius.max(initial=1.0)))
 
 
 def _distances(
     position: FloatArray,
     reach: FloatArray,
-    exposed: NDArray[np.uint8],
+    width: float,
     first: FloatArray,
     spacing: float,
     counts: list[int],
 ) -> NDArray[np.float32]:
     """Return the distance of nodes from the balls' surfaces in spacings, negative inside.
 
+    - ``width``, µm: of bins, by which cells inside the tissue are left out
+
     Where many cells reach many nodes they are found at every second node along each axis, and are
     means of these between, where a surface is smooth at the scale of nodes.
     """
     most = float(reach.max()) / spacing
+    few = len(position) * most**2 <= _MANY
+    exposed = np.full(len(position), 255, np.uint8) if few else _exposed(position, reach, width)
     many = np.count_nonzero(exposed) * most**2 > max(_MANY, math.prod(counts))
     step = 2 if most >= _COARSE and many else 1
     coarse = [1 if n == 1 else (n - 1) // step + 2 for n in counts]
@@ -119,8 +141,9 @@ def mean_end(position: FloatArray, radius: FloatArray, margin: float) -> float:
     - ``position``, (n, 3) µm: of cells round the origin
     """
     found = np.full(len(_DIRECTIONS), -np.inf)
-    _reach_along(_DIRECTIONS, position, np.maximum(margin, _CLOSED * radius), found)
-    return float(np.maximum(found, 0.0).mean())
+    reach, closed = _reaches(radius, margin)
+    _reach_along(_DIRECTIONS, position, closed, found)
+    return float(np.maximum(found, 0.0).mean() - (closed - reach).mean())
 
 
 def _directions(count: int) -> FloatArray:
@@ -319,6 +342,9 @@ def _exchange(distance: Any, medium: Any, flat: bool, out: Any) -> None:
                     out[i, j, k] = HELD_RATE
                     continue
                 inside, total = -float(distance[a, b, c]), 0.0
+                if inside <= 0.0:  # in a gap
+                    out[i, j, k] = 0.0
+                    continue
                 for face in range(4 if flat else 6):
                     side = 2 * (face % 2) - 1
                     d = a + side if face // 2 == 0 else a

@@ -69,7 +69,7 @@ def field_problem(
         Of any run of it; it may be one that was read from a file.
     fields
         Names of the fields that are wanted; absent: all. They must share a grid, as fields with
-        the same spacing, margin and geometry do, and hold all that one of them reacts with.
+        the same spacing, margin, its shape and geometry do, and hold all that one of them reacts with.
     reactions
         Of the user's own that the run was started with.
 
@@ -91,8 +91,7 @@ def field_problem(
         parameters = FieldParameters.of(scene, name)
         medium = _medium(parameters, frame, name)
         demand = system.demand(name, cells, frame.concentrations, taken)
-        group = next(group for group in system.groups if name in group.names)
-        exchange = group.exchange(layout, Tissue(cells.position, cells.radius))
+        exchange = system.fields[name].exchange(layout, Tissue(cells.position, cells.radius))
         about = layout, position, cells.radius, demand, medium, exchange
         substances[name] = substance(parameters, *about)
     equation = FieldEquation(

@@ -62,8 +62,7 @@ def expected_step(scene: Scene, name: str) -> float:
     diffusion = 4.0 * scene.dimensions
     # of a layer that ends inside of the grid, multicell.nutrient.layer
     shells = nutrient.layout == "radial" and scene.dimensions == 3
-    follows = scene.box is None and not nutrient.sides and nutrient.finite_medium is None
-    diffusion += HELD_RATE if follows and not shells else 0.0
+    diffusion += HELD_RATE if nutrient.margin_shape == "tissue" and not shells else 0.0
     diffusion *= nutrient.diffusion / largest_spacing(scene, name) ** 2
     return longest_step(nutrient.solver, diffusion + nutrient.decay + nutrient.perfusion + uptake)
 

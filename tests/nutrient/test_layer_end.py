@@ -1,11 +1,14 @@
 """The layer of medium round a tissue ends at one distance, on a grid with corners."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import ndimage, spatial, special
 from synthetic import cells_at
 
 import multicell as mc
+from multicell.cells import SPHERE
 from multicell.nutrient.balance import BALANCE_COLUMNS
 from multicell.nutrient.cartesian import Box
 from multicell.nutrient.equations.outside import bring
@@ -13,16 +16,19 @@ from multicell.nutrient.field import NutrientField
 from multicell.nutrient.fitness import _direction_notes
 from multicell.nutrient.layer import _distances, _exposed, exchange_beyond, mean_end
 from multicell.nutrient.parameters import FieldParameters
+from multicell.report.explain.course import Profile
+from multicell.report.explain.scene import explain
 from multicell.scene.field_solvers import HELD_RATE, expected_step
 from multicell.scene.nutrient import Nutrient
+from multicell.scene.scales import CUBE_RADIUS, SQUARE_RADIUS
 
 D, MARGIN, LEVEL = 2000.0, 50.0, 0.05
+SHAPE = "nutrients.oxygen.margin_shape"
 
 
 def field(spacing, half, **changes):
-    nutrient = Nutrient(
-        diffusion=D, margin=MARGIN, boundary=LEVEL, half_saturation=half, **changes.pop("of", {})
-    )
+    usual = {"diffusion": D, "margin": MARGIN, "boundary": LEVEL, "margin_shape": "tissue"}
+    nutrient = Nutrient(half_saturation=half, **usual | changes.pop("of", {}))
     given = {"spacing": spacing, "height": 10.0, "regime": "steady", "dimensions": 3} | changes
     return NutrientField("a", FieldParameters(nutrient, **given))
 
@@ -148,8 +154,9 @@ def test_distances_from_the_nearest_cell(apart, mean, most, part):
     own = np.full(len(position), reach)
     own[random.integers(0, len(own), 20)] -= random.uniform(0.0, 40.0, 20)
     first, counts = np.full(3, -190.0), [39, 39, 39]
-    exposed = _exposed(position, own, 2.5 * 0.6 * apart)
-    found = _distances(position, own, exposed, first, spacing, counts) * spacing
+    width = 2.5 * 0.6 * apart
+    exposed = _exposed(position, own, width)
+    found = _distances(position, own, width, first, spacing, counts) * spacing
     axis = first[0] + spacing * np.arange(39)
     nodes = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
     whole = own == reach
@@ -183,7 +190,12 @@ def test_a_cell_that_strays_carries_no_layer_away():
 
 def test_a_transient_field_ends_there_and_its_account_closes():
     scene = mc.load_scene("spheroid").with_changes(
-        {"initial.count": 60, "duration": "40 min", "nutrients.oxygen.regime": "transient"}
+        {
+            "initial.count": 60,
+            "duration": "40 min",
+            "nutrients.oxygen.regime": "transient",
+            SHAPE: "tissue",
+        }
     )
     simulation = mc.Simulation(scene)
     while not simulation.finished:
@@ -196,7 +208,8 @@ def test_a_transient_field_ends_there_and_its_account_closes():
 
 
 def test_py_pde_finds_the_field_of_a_run():
-    scene = mc.load_scene("spheroid").with_changes({"initial.count": 60, "duration": "10 min"})
+    changes = {"initial.count": 60, "duration": "10 min", SHAPE: "tissue"}
+    scene = mc.load_scene("spheroid").with_changes(changes)
     result = mc.run(scene)
     frame = result.frames[-1]
     problem = mc.field_problem(scene, frame)
@@ -214,6 +227,7 @@ def test_an_explicit_solver_takes_steps_that_the_exchange_bounds():
         {
             "initial.count": 40,
             "duration": "10 min",
+            SHAPE: "tissue",
             "nutrients.oxygen.regime": "transient",
             "nutrients.oxygen.solver": "runge-kutta",
         }
@@ -235,15 +249,64 @@ def test_an_explicit_solver_takes_steps_that_the_exchange_bounds():
     assert entry["inflow"] > 0.0
 
 
-@pytest.mark.parametrize("sides", [False, True])
-def test_a_note_where_round_tissue_finds_more_along_the_axes(sides):
-    """A box whose faces are the end has corners, and the same tissue in its layer has none."""
+@pytest.mark.parametrize("axes", [3, 2])
+@pytest.mark.parametrize("shape", ["box", "tissue"])
+def test_a_note_where_round_tissue_finds_more_along_the_axes(shape, axes):
+    """A box has corners, and the same tissue in a layer of its own shape has none."""
     radius = 120.0
-    position, volume = packed(radius)
-    size, each = np.full(len(position), 8.0), np.full(len(position), 0.012 * volume)
-    face = {"type": "value", "value": LEVEL}
-    oxygen = field(10.0, 1e-9, of={"sides": {"*": face}} if sides else {})
+    position, volume = packed(radius, axes=axes)
+    size = np.full(len(position), 8.0)
+    each = np.full(len(position), 0.012 * volume * (10.0 if axes == 2 else 1.0))
+    oxygen = field(10.0, 1e-9, of={"margin_shape": shape}, dimensions=axes)
     oxygen.solve(position, each, radius=size)
-    cells = cells_at(position, size)
-    notes = _direction_notes(oxygen, cells, LEVEL)
-    assert any("along the axes of its grid" in note for note in notes) == sides
+    notes = _direction_notes(oxygen, cells_at(position, size), LEVEL)
+    assert any("margin_shape = 'tissue'" in note for note in notes) == (shape == "box")
+
+
+@pytest.mark.parametrize("axes", [3, 2])
+def test_explain_expects_the_difference_between_directions(axes):
+    """Within a third of what a grid finds round the same tissue."""
+    radius, rate = 120.0, 0.012
+    position, volume = packed(radius, axes=axes)
+    size = np.full(len(position), 8.0)
+    oxygen = field(10.0, 1e-9, of={"margin_shape": "box"}, dimensions=axes)
+    each = rate * volume * (10.0 if axes == 2 else 1.0)
+    oxygen.solve(position, np.full(len(position), each), radius=size)
+    found = oxygen.sample(position, size)
+    along, between = directions(position, radius)
+    true = float(found[along].mean() - found[between].mean()) / LEVEL
+    low, high = position.min(axis=0) - MARGIN, position.max(axis=0) + MARGIN
+    factor = CUBE_RADIUS if axes == 3 else SQUARE_RADIUS
+    end = factor * 0.5 * float((high - low)[:axes].mean())
+    nutrient = replace(oxygen.parameters.nutrient, uptake=each)
+    profile = Profile(nutrient, axes, 10.0, end=lambda _: end)
+    cell = volume if axes == 3 else SPHERE * (volume / np.pi) ** 1.5
+    profile.solve(np.linspace(0.0, radius, 41), 0.0, 0.0, cell)
+    assert true > 0.02
+    assert profile.uneven() == pytest.approx(true, rel=0.34)
+    notes = {shape: explain(notable(shape))["notes"] for shape in ("box", "tissue")}
+    assert any(SHAPE in note for note in notes["box"])
+    assert not any(SHAPE in note for note in notes["tissue"])
+
+
+def notable(shape):
+    return mc.load_scene("spheroid").with_changes({SHAPE: shape})
+
+
+def test_the_shape_of_the_margin_is_refused_where_something_else_states_the_end():
+    """What states where the medium begins excludes a second statement."""
+    scene = mc.load_scene("spheroid").with_changes({SHAPE: "tissue"})
+    sides = {"*": {"type": "value", "value": 0.05}}
+    for changes in (
+        {"domain": {axis: [-200.0, 200.0] for axis in "xyz"}, "nutrients.oxygen.spacing": "10 um"},
+        {"nutrients.oxygen.sides": sides},
+        {"nutrients.oxygen.finite_medium": {"volume": 1e12}},
+        {"nutrients.oxygen.geometry": "radial", "nutrients.oxygen.layer": 40.0},
+    ):
+        with pytest.raises(mc.SceneError, match="where the medium begins") as refused:
+            scene.with_changes(changes)
+        assert refused.value.path == SHAPE
+    with pytest.raises(mc.SceneError, match="middle of the outermost cells") as refused:
+        mc.load_scene("spheroid").with_changes({"nutrients.oxygen.margin": 0})
+    assert refused.value.path == "nutrients.oxygen.margin"
+    assert scene.with_changes({"nutrients.oxygen.margin": 0}).nutrients["oxygen"].margin == 0.0
