@@ -69,7 +69,8 @@ def field_problem(
         Of any run of it; it may be one that was read from a file.
     fields
         Names of the fields that are wanted; absent: all. They must share a grid, as fields with
-        the same spacing, margin, its shape and geometry do, and hold all that one of them reacts with.
+        the same spacing, margin, its shape and geometry do, and hold all that one of them reacts
+        with.
     reactions
         Of the user's own that the run was started with.
 

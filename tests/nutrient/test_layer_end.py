@@ -5,8 +5,8 @@ from itertools import product
 
 import numpy as np
 import pytest
-from scipy import ndimage, spatial, special
 from layered import LEVEL, MARGIN, D, directions, field, packed
+from scipy import ndimage, spatial, special
 from synthetic import cells_at
 
 import multicell as mc
@@ -274,7 +274,7 @@ def notable(shape):
 
 
 def test_the_shape_of_the_margin_is_refused_where_something_else_states_the_end():
-    """What states where the medium begins excludes a second statement."""
+    """Sides, layers, domains and finite media state where the medium begins."""
     scene = mc.load_scene("spheroid").with_changes({SHAPE: "tissue"})
     sides = {"*": {"type": "value", "value": 0.05}}
     for changes in (

@@ -58,13 +58,11 @@ def test_two_pieces_have_a_layer_each():
         away = np.sqrt((place**2).sum(axis=1))
         surface = LEVEL - rate * radius**3 / (3.0 * D) * (1.0 / radius - 1.0 / end)
         exact = surface - rate / (6.0 * D) * (radius**2 - away**2)
-        assert (LEVEL - exact).max() > 0.1 * LEVEL
+        assert (LEVEL - exact).max() > 0.09 * LEVEL
         for cells in directions(place, radius):
             assert values[cells].mean() == pytest.approx(exact[cells].mean(), rel=0.01)
-    middle = 0.5 * (large.mean(axis=0) + small.mean(axis=0))
-    assert oxygen.sample(middle[None] - [25.0, 9.0, -7.0], np.zeros(1)) == pytest.approx(
-        LEVEL, rel=1e-3
-    )
+    between = 0.42 * large.mean(axis=0) + 0.58 * small.mean(axis=0)
+    assert oxygen.sample(between[None], np.zeros(1)) == pytest.approx(LEVEL, rel=1e-4)
 
 
 def test_the_medium_follows_the_ends_of_a_row():
@@ -74,14 +72,14 @@ def test_the_medium_follows_the_ends_of_a_row():
     for way in ([1.0, 0.0, 0.0], np.ones(3) / np.sqrt(3.0)):
         oxygen, position = field(8.0, 1e-3), along[:, None] * np.asarray(way)
         size = np.full(len(along), SIZE)
-        oxygen.solve(position, np.full(len(along), 120.0), radius=size)
+        oxygen.solve(position, np.full(len(along), 600.0), radius=size)
         found.append(oxygen.sample(position, size))
     assert (LEVEL - found[0]).max() > 0.05 * LEVEL
     np.testing.assert_allclose(found[0], found[1], atol=0.01 * LEVEL)
 
 
 CASES = {
-    "steady": {"nutrients.oxygen.regime": "steady", "nutrients.oxygen.spacing": "4 um"},
+    "steady": {"nutrients.oxygen.regime": "steady", "nutrients.oxygen.spacing": "3.4 um"},
     "transient": {"nutrients.oxygen.regime": "transient", "nutrients.oxygen.spacing": "12 um"},
     "rim": {"nutrients.oxygen.margin": 0, "nutrients.oxygen.spacing": "5 um"},
 }
@@ -116,8 +114,6 @@ def test_a_resumed_folder_has_the_bits_of_a_whole_run(tmp_path):
     whole = mc.run(scene, output=tmp_path / "whole", report=False, threads=1)
     half = scene.with_changes({"duration": "10 min"})
     mc.run(half, output=tmp_path / "half", report=False, threads=1)
-    longer = mc.resume(
-        tmp_path / "half", report=False, threads=1, changes={"duration": "30 min"}
-    )
+    longer = mc.resume(tmp_path / "half", report=False, threads=1, changes={"duration": "30 min"})
     assert bits.digest(longer.frames[-1]) == bits.digest(whole.frames[-1])
     assert whole.scene.to_dict()["nutrients"]["oxygen"]["margin_shape"] == "tissue"

@@ -1,9 +1,9 @@
 """Discs of cells in a plane: uptake at a constant rate, and in proportion to what is there.
 
-A sink with the symmetry of a disc, with c₀ on a border round it, has outside the mean over the angle
-c₀ + Q / 2πD ln(r / ρ), with Q what the disc takes up for each height, and ρ the conformal radius of
-the border: K(1/√2)⁻¹ 2a of a square of side 2a, thus 1.0787 a. The border is a dish, the square that
-follows the cells, a layer of even width round them, or their own rim.
+A sink with the symmetry of a disc, with c₀ on a border round it, has outside the mean over the
+angle c₀ + Q / 2πD ln(r / ρ), with Q what the disc takes up for each height, and ρ the conformal
+radius of the border: K(1/√2)⁻¹ 2a of a square of side 2a, thus 1.0787 a. The border is a dish, the
+square that follows the cells, a layer of even width round them, or their own rim.
 """
 
 import numpy as np
