@@ -40,7 +40,7 @@ def two_pieces():
     """Return a large ball and a small one far from it, which make a box that neither is mid of."""
     large, volume = packed(110.0)
     small, _ = packed(50.0)
-    return large, small + [330.0, 120.0, -90.0], volume
+    return large, small + np.array([330.0, 120.0, -90.0]), volume
 
 
 def test_two_pieces_have_a_layer_each():
