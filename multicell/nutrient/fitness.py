@@ -126,6 +126,8 @@ def _direction_notes(field: NutrientField, cells: Cells, level: float) -> list[s
     remedy = f"with nutrients.{field.name}.margin_shape = 'tissue' the medium has no corners."
     if field.parameters.follows_tissue:
         remedy = "a smaller spacing makes less of it."
+    elif not field.parameters.open_medium:
+        remedy = "the medium begins at the sides of a box."
     return [
         f"{field.name} differs by {uneven / level:.1%} of the medium between the surface along the "
         f"axes of its grid and along the diagonals, though the tissue is round: {remedy}"

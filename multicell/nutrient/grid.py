@@ -18,7 +18,6 @@ from multicell.cells import SPHERE, FloatArray
 from multicell.errors import NutrientFailed
 from multicell.nutrient import balls, faces
 from multicell.nutrient.cartesian import Box, covered_fractions, extent, fill, lay, mesh, moved
-from multicell.scene.scales import CUBE_RADIUS
 from multicell.vectors import corners, cubes, lengths, squares, weighted_mean
 
 if TYPE_CHECKING:
@@ -34,6 +33,14 @@ _ROUNDED = 1e-14
 
 _TISSUE = 0.5
 """Part of a node's volume that is cells from which on it is tissue."""
+
+
+_CUBE = 1.14445
+"""Harmonic radius of a cube seen from its middle, over half its edge.
+
+The harmonic function with the values 1/|x| on the faces is 1 / 1.14445 there (half edge 1; by its
+series of sines).
+"""
 
 
 @final
@@ -333,7 +340,7 @@ class ShellLayout:
             outer = max(mean_end(position - centre, radius, margin), outermost)
         elif layer is None:
             low, high = extent(position, margin)
-            outer = max(outermost + margin, CUBE_RADIUS * 0.5 * float((high - low).mean()))
+            outer = max(outermost + margin, _CUBE * 0.5 * float((high - low).mean()))
         else:
             outer = max(equivalent_ball_radius(position, radius) + layer, outermost)
         return cls.to(centre, outer, spacing)

@@ -22,16 +22,6 @@ _SETTLED = 1.0
 _POINTS = 5.0
 """Spacings in the diffusion length where the grid is chosen for the user."""
 
-CUBE_RADIUS = 1.14445
-"""Harmonic radius of a cube seen from its middle, over half its edge.
-
-The harmonic function with the values 1/|x| on the faces is 1 / 1.14445 there (half edge 1; by its
-series of sines).
-"""
-
-SQUARE_RADIUS = 1.07871
-"""The like of a square: its conformal radius, over half its side."""
-
 MAX_UNEVEN = 0.01
 """Difference of concentrations at the surface of round tissue along axes and along diagonals, over
 that of the medium, from which on it is reported."""
@@ -143,19 +133,12 @@ def tissue_radius(scene: Scene) -> float:
     return float(typical_radius(scene) * cells ** (1.0 / scene.dimensions))
 
 
-def medium_radius(scene: Scene, name: str, radius: float) -> float:
-    """Return where the medium begins round a ball (disc) of tissue with a radius, both in µm.
+def layer_reach(scene: Scene, name: str, radius: float) -> float:
+    """Return how far the margin reaches from the middle of a ball (disc) of tissue, both in µm.
 
-    Where it begins at the sides of a box it is the ball that lets as much through. A domain counts
-    as the layer that a field without one has.
+    It is counted from the outermost centres of cells.
     """
-    nutrient = scene.nutrients[name]
-    if scene.box is not None or nutrient.layer is not None:
-        return radius + (nutrient.margin if nutrient.layer is None else nutrient.layer)
-    farthest = max(radius - typical_radius(scene), 0.0) + nutrient.margin  # from centres
-    if nutrient.margin_shape == "box":
-        farthest *= CUBE_RADIUS if scene.dimensions == 3 else SQUARE_RADIUS
-    return max(farthest, radius)
+    return max(radius - typical_radius(scene), 0.0) + scene.nutrients[name].margin
 
 
 def layer_height(scene: Scene, name: str) -> float:

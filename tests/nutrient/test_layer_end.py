@@ -19,7 +19,7 @@ from multicell.nutrient.layer import _distances, _exposed, exchange_beyond, mean
 from multicell.report.explain.course import Profile
 from multicell.report.explain.scene import explain
 from multicell.scene.field_solvers import HELD_RATE, expected_step
-from multicell.scene.scales import CUBE_RADIUS, MAX_UNEVEN, SQUARE_RADIUS
+from multicell.scene.scales import MAX_UNEVEN
 
 SHAPE = "nutrients.oxygen.margin_shape"
 
@@ -253,10 +253,9 @@ def test_explain_expects_the_difference_between_directions(axes):
         for way in (rows, ends / np.sqrt(axes))
     )
     true = float(along - between) / LEVEL
-    factor = CUBE_RADIUS if axes == 3 else SQUARE_RADIUS
-    end = factor * (MARGIN + 0.5 * float((high - low)[:axes].mean()))
+    half = MARGIN + 0.5 * float((high - low)[:axes].mean())
     nutrient = replace(oxygen.parameters.nutrient, uptake=each)
-    profile = Profile(nutrient, axes, 10.0, end=lambda _: end)
+    profile = Profile(nutrient, axes, 10.0, reach=lambda _: half)
     cell = volume if axes == 3 else SPHERE * (volume / np.pi) ** 1.5
     profile.solve(np.linspace(0.0, radius, 41), 0.0, 0.0, cell)
     assert true > 2.0 * MAX_UNEVEN

@@ -260,7 +260,8 @@ def cost_notes(expected: Prediction) -> list[str]:
     notes = [
         f"{name} at the surface of the tissue is expected to differ by up to {uneven:.1%} of the "
         "medium between the axes of its grid and the diagonals, since the medium begins at the "
-        f"sides of a box: with nutrients.{name}.margin_shape = 'tissue' it has no corners."
+        f"sides of a box: with nutrients.{name}.margin_shape = 'tissue' (and without a finite "
+        "medium) it has no corners."
         for name, uneven in expected.course.uneven.items()
         if uneven > MAX_UNEVEN
     ]

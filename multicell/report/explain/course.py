@@ -30,7 +30,7 @@ from multicell.scene.dependences import circles, solving_order
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.pairs import drag
 from multicell.scene.responses import type_thresholds, usual_type
-from multicell.scene.scales import CUBE_RADIUS, SQUARE_RADIUS, layer_height, medium_radius
+from multicell.scene.scales import layer_height, layer_reach
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius, typical_radius
 
@@ -125,7 +125,7 @@ class _Tissue:
                 self._dimensions,
                 layer_height(scene, name),
                 type_thresholds(scene, name, "quiescence").get(usual_type(scene.types)),
-                partial(medium_radius, scene, name),
+                partial(layer_reach, scene, name),
             )
             for name in (
                 solving_order(scene.nutrients, scene.reactions, scene.responses) if needed else ()
@@ -193,7 +193,8 @@ class _Tissue:
         for _ in range(_TURNS if self._circular else 1):
             for name, field in self._fields.items():
                 levels[name] = field.solve(shells, begin, end, self._cell_volume, levels)
-                if scene.box is None and field.nutrient.layout == "box":
+                cornered = field.nutrient.layout == "box" and not field.nutrient.sides
+                if scene.box is None and cornered:
                     self.uneven[name] = max(self.uneven.get(name, 0.0), field.uneven())
         growth = growth_factor(self._plan, levels, np.zeros(SHELLS))
         hazard = self._hazard(levels)
@@ -285,11 +286,10 @@ class Profile:
         dimensions: int,
         height: float = 1.0,
         resting: float | None = None,
-        end: Callable[[float], float] | None = None,
+        reach: Callable[[float], float] | None = None,
     ) -> None:
         self.nutrient = nutrient
-        width = nutrient.margin if nutrient.layer is None else nutrient.layer
-        self._end = end or (lambda radius: radius + width)  # radius of tissue -> of the medium
+        self._reach = reach or (lambda radius: radius + nutrient.margin)  # along axes, µm
         self._flow = self._surface = 0.0  # mM µm²/s, divided by 4 pi or 2 pi; radius, µm
         self.resting = resting  # threshold of quiescence, mM
         self._height = height  # of the layer in a plane, µm
@@ -350,7 +350,7 @@ class Profile:
         return level
 
     def uneven(self) -> float:
-        """Return how much more the last surface has along the axes of a box than diagonally.
+        """Return what the last surface has along the axes of a box beyond that on diagonals.
 
         Over the medium's concentration. The field of a source in the middle of a cube with the half
         edge a, relative to that in a ball, differs there by 0.185 (r/a)⁴ / a times the source, in a
@@ -360,7 +360,7 @@ class Profile:
         field, d, radius = self.nutrient, self._dimensions, self._surface
         if field.margin_shape == "tissue" or self._medium <= 0.0:
             return 0.0
-        half = self._end(radius) / (CUBE_RADIUS if d == 3 else SQUARE_RADIUS)
+        half = self._reach(radius)
         scale = 0.185 / half if d == 3 else 0.148
         found = self._flow / (field.diffusion_medium or field.diffusion)
         found *= scale * (radius / half) ** 4
@@ -387,7 +387,10 @@ class Profile:
 
     def _resistance(self, radius: float) -> float:
         """Return that of the layer of medium, s/µm^d, divided by 4 pi or 2 pi."""
-        field, end = self.nutrient, self._end(radius)
+        field = self.nutrient
+        end = radius + (field.margin if field.layer is None else field.layer)
+        if field.margin_shape == "tissue":
+            end = max(self._reach(radius), radius)
         coefficient = field.diffusion_medium or field.diffusion
         if self._dimensions == 2:
             return float(math.log(end / radius) / coefficient)
