@@ -350,7 +350,7 @@ class Profile:
         return level
 
     def uneven(self) -> float:
-        """Return what the last surface has along the axes of a box beyond that on diagonals.
+        """Return the excess at the last surface along the axes of a box over the diagonals.
 
         Over the medium's concentration. The field of a source in the middle of a cube with the half
         edge a, relative to that in a ball, differs there by 0.185 (r/a)⁴ / a times the source, in a
