@@ -354,8 +354,8 @@ class Profile:
 
         Over the medium's concentration. The field of a source in the middle of a cube with the half
         edge a, relative to that in a ball, differs there by 0.185 (r/a)⁴ / a times the source, in a
-        square by 0.148 (r/a)⁴ (by series of harmonics, as their radii). What uptake makes of the
-        difference is left out, but where tissue starves and a rim takes up all: as √c.
+        square by 0.148 (r/a)⁴ (by series of harmonics, as their radii). That uptake
+        changes with the difference is left out, but where a rim round starved tissue takes up all.
         """
         field, d, radius = self.nutrient, self._dimensions, self._surface
         if field.margin_shape == "tissue" or self._medium <= 0.0:
