@@ -317,22 +317,28 @@ class ShellLayout:
         margin: float,
         spacing: float,
         layer: float | None = None,
+        follows: bool = False,
     ) -> ShellLayout:
         """Lay it ``margin`` or more beyond the outermost cell; ``spacing`` is adapted.
 
         Its surface is that of the ball which lets as much through to its middle as the cube
         that would be laid round the same cells: how a tissue is fed does not depend on the
-        geometry of the grid. With a ``layer`` the surface lies so far beyond the tissue's,
-        that of the ball with the same radius of gyration, or where the outermost centre is if
-        that is farther.
+        geometry of the grid. Where the layer ``follows`` the tissue it is where it ends on that
+        (:mod:`multicell.nutrient.layer`), in the mean over directions. With a ``layer`` the
+        surface lies so far beyond the tissue's, that of the ball with the same radius of gyration,
+        or where the outermost centre is if that is farther.
         """
         if len(position) == 0:
-            return cls.to(np.zeros(3), margin if layer is None else layer, spacing)
+            return cls.to(np.zeros(3), (margin or spacing) if layer is None else layer, spacing)
         if not np.isfinite(position).all():
             extent(position, margin)  # raises with words
         centre = weighted_mean(position, cubes(radius))
         outermost = float(np.sqrt(squares(position - centre).max()))
-        if layer is None:
+        if layer is None and follows:
+            from multicell.nutrient.layer import mean_end
+
+            outer = max(mean_end(position - centre, radius, margin), outermost)
+        elif layer is None:
             low, high = extent(position, margin)
             outer = max(outermost + margin, _CUBE * 0.5 * float((high - low).mean()))
         else:

@@ -238,7 +238,7 @@ def check_nutrients(scene: Scene) -> None:
             raise SceneError(f"{path}.media", problem)
         _check_finite(scene, path, nutrient)
         check_solver(scene, name)
-        _check_layer(path, nutrient)
+        _check_layer(scene, path, nutrient)
         if scene.box is not None:
             _check_in_domain(scene, name)
     solving_order(scene.nutrients, scene.reactions, scene.responses)
@@ -376,13 +376,24 @@ def _check_finite(scene: Scene, path: str, nutrient: Nutrient) -> None:
             raise SceneError(f"{path}.finite_medium.volume", problem, hint)
 
 
-def _check_layer(path: str, nutrient: Nutrient) -> None:
-    """Check that a layer lies round shells: only there it is as thick everywhere."""
+def _check_layer(scene: Scene, path: str, nutrient: Nutrient) -> None:
+    """Check that a layer lies round shells, and that a margin with a shape has an effect."""
+    if nutrient.margin_shape == "tissue":
+        other = {
+            "domain": scene.box is not None,
+            f"{path}.sides": bool(nutrient.sides),
+            f"{path}.finite_medium": nutrient.finite_medium is not None,
+            f"{path}.layer": nutrient.layer is not None,
+        }
+        for key, given in other.items():
+            if given:
+                problem = f"is 'tissue', but {key} states where the medium begins"
+                raise SceneError(f"{path}.margin_shape", problem, "Leave out one of them.")
     if nutrient.layer is not None and nutrient.geometry != "radial":
         problem = f"has no meaning with geometry = '{nutrient.layout}'"
         hint = (
-            "The layer of a ball needs geometry = 'radial'; a grid of cubes has its faces at "
-            "'margin' from the outermost centres, farther at the corners."
+            "The layer of a ball needs geometry = 'radial'; with margin_shape = 'tissue' that of "
+            "any tissue is as thick as 'margin' everywhere."
         )
         raise SceneError(f"{path}.layer", problem, hint)
 
@@ -437,6 +448,7 @@ def _check_in_domain(scene: Scene, name: str) -> None:
 
 _SHARED = (
     "margin",
+    "margin_shape",
     "layer",
     "height",
     "initial",

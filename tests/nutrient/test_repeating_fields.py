@@ -168,7 +168,7 @@ def test_nodes_below_zero_take_their_balance_from_the_other_end():
     c = np.array([-0.1, 0.2, 0.4]).reshape(3, 1, 1)
     left = stencil.balance_negative(
         c, np.zeros((3, 1, 1)), np.zeros((3, 1, 1)), 1.0, operator.stiffness, 0.0,
-        operator.ghost, None, 0.0, 10,
+        operator.ghost, None, None, 0.0, 0.0, 10,
     )  # fmt: skip
     assert left == 0
     assert c[0, 0, 0] == pytest.approx(0.3)
