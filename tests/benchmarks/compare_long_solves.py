@@ -1,4 +1,4 @@
-"""What CVODE would gain if it did not start anew in every coupling step.
+"""Cost of the restarts of CVODE in every coupling step, beside those of one solver for several.
 
 Problem   coupling steps of runs with about a thousand cells, replayed with their events: growing
           tissue (grow-2000) with divisions all the time and between two waves of them, and two
