@@ -27,6 +27,8 @@ HALF = 0.5 ** (1.0 / 3.0)
 
 _TABLE = 8  # identities for each cell that a table of them may span
 
+_SHARED = 20_000  # least number of cells for each thread that copies some
+
 
 def stokes_drag(viscosity: float) -> float:
     """Return 6πη, the drag of a sphere over its radius, kPa s (Stokes; η in kPa s)."""
@@ -205,10 +207,15 @@ class Cells:
             if name in vars(self):
                 yield name, getattr(self, name)
 
-    def take(self, index: NDArray[Any]) -> Cells:
-        """Return copies of the cells at ``index`` (integers or a mask), in that order."""
+    def take(self, index: NDArray[Any], threads: int = 1) -> Cells:
+        """Return copies of the cells at ``index`` (integers or a mask), in that order.
+
+        - ``threads``: how many may share the work; no index is negative then
+        """
         if index.dtype == np.bool_:
             (index,) = index.nonzero()
+        if threads > 1 and len(index) > _SHARED:
+            return self.replaced(index, Cells.empty(), threads)
         return _made({name: column.take(index, axis=0) for name, column in vars(self).items()})
 
     def copy(self) -> Cells:
@@ -234,16 +241,36 @@ class Cells:
         """Return the row of the cell of each identity, in the shape of ``ids``; -1 without one."""
         return rows_by_id(self.id, ids)
 
-    def replaced(self, index: NDArray[Any], other: Cells) -> Cells:
-        """Return the cells at ``index`` followed by those of ``other``, column by column."""
+    def replaced(self, index: NDArray[Any], other: Cells, threads: int = 1) -> Cells:
+        """Return the cells at ``index`` followed by those of ``other``, column by column.
+
+        - ``index``: a mask, or integers of which none is negative
+        - ``threads``: how many may share the work
+        """
         if index.dtype == np.bool_:
             (index,) = index.nonzero()
-        return _made(
-            {
-                name: np.concatenate([column.take(index, axis=0), getattr(other, name)])
-                for name, column in vars(self).items()
-            }
-        )
+        count, kept = len(index) + len(other), len(index)
+        found = {
+            name: np.empty((count, *column.shape[1:]), column.dtype)
+            for name, column in vars(self).items()
+        }
+
+        def run(begin: int, end: int) -> None:
+            rows = index[begin:end]
+            for name, column in vars(self).items():
+                column.take(rows, 0, found[name][begin:end], "clip")
+
+        if threads > 1 and kept > _SHARED:
+            from multicell.compiling.threads import Team
+
+            with Team(min(threads, 1 + kept // _SHARED)) as team:
+                team.share(run, kept)
+        else:
+            run(0, kept)
+        for name, column in found.items():
+            if count > kept:
+                column[kept:] = getattr(other, name)
+        return _made(found)
 
     @classmethod
     def schema(cls) -> dict[str, dict[str, Any]]:

@@ -424,7 +424,7 @@ def _tolerance(plan: BiologyPlan, ids: IntArray) -> FloatArray:
     return np.asarray(gammainccinv(shape, u) / shape)
 
 
-def remove_lysed(plan: BiologyPlan, cells: Cells) -> tuple[Cells, int]:
+def remove_lysed(plan: BiologyPlan, cells: Cells, threads: int = 1) -> tuple[Cells, int]:
     """Remove dead cells smaller than ``removal_fraction`` of the birth volume; return how many."""
     if plan.death is None:
         return cells, 0
@@ -434,7 +434,7 @@ def remove_lysed(plan: BiologyPlan, cells: Cells) -> tuple[Cells, int]:
     smallest = plan.death.removal_fraction * plan.birth_volumes(cells.kind)
     gone = dead & (cells.volume < smallest)
     removed = int(gone.sum())
-    return (cells.take(~gone), removed) if removed else (cells, 0)
+    return (cells.take(~gone, threads), removed) if removed else (cells, 0)
 
 
 def irradiate(

@@ -146,19 +146,20 @@ def divide_and_remove(
     dt: float,
     signals: Signals = MappingProxyType({}),
     factor: float | FloatArray = 1.0,
+    threads: int = 1,
 ) -> Events:
     """Return the cells after all that changes their number at the end of a step.
 
     ``time`` is that end and ``dt`` the length of the step, s, ``factor`` the part of unlimited
-    growth at which cells have grown in it, (n,) or one for all.
+    growth at which cells have grown in it, (n,) or one for all; ``threads`` may share the work.
     """
-    divided, free = divide(plan, cells, next_id, dt, signals, factor)
+    divided, free = divide(plan, cells, next_id, dt, signals, factor, threads=threads)
     if free > next_id:
         # daughters lie within their mother: only one that is pressed nearly flat, or that no
         # wall holds, can have one outside
         check_inside(plan.domain, divided.id, divided.position, time)
         divided = bind_changed(plan, cells, divided, signals, time)
-    left, removals = remove_lysed(plan, divided)
+    left, removals = remove_lysed(plan, divided, threads)
     released = float(divided.volume.sum()) - float(left.volume.sum()) if removals else 0.0
     return Events(left, free, removals, released)
 

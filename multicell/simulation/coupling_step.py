@@ -190,7 +190,8 @@ def _after_events(
     aged, lost = age_cells(plan, state.cells, grown, here, begin, end)
     aged = aged.changed(position=moved.position, pressure=moved.pressure)
     here = run.signals(aged, contacts, end)
-    after = divide_and_remove(plan, aged, first, end, end - begin, here, grown.factor)
+    threads = run.mover.system.threads
+    after = divide_and_remove(plan, aged, first, end, end - begin, here, grown.factor, threads)
     cells, lineage, named = after.cells, state.lineage, state.named
     unsorted = state.unsorted + after.next_id - first + after.removals
     if after.next_id > first or after.removals:
@@ -199,7 +200,7 @@ def _after_events(
         if len(contacts):
             contacts = cells.id[contact_rows(cells, contacts)]
         contacts = with_newborn(plan, cells, contacts, first)
-    cells, unsorted = sorted_in_space(cells, unsorted, run.mover.system.period)
+    cells, unsorted = sorted_in_space(cells, unsorted, run.mover.system.period, threads)
     released = state.released + lost + after.released
     return _People(
         cells, contacts, lineage, named, after.next_id, unsorted, after.removals, released
@@ -207,7 +208,7 @@ def _after_events(
 
 
 def sorted_in_space(
-    cells: Cells, unsorted: int, period: FloatArray | None = None
+    cells: Cells, unsorted: int, period: FloatArray | None = None, threads: int = 1
 ) -> tuple[Cells, int]:
     """Return cells sorted in space where many are new, and how many are since the last sorting.
 
@@ -217,7 +218,7 @@ def sorted_in_space(
         return cells, unsorted
     width = 2.0 * float(cells.radius.max(initial=1.0))
     place = cells.position if period is None else wrapped(cells.position, period)
-    return cells.take(neighbours.spatial_order(place, width)), 0
+    return cells.take(neighbours.spatial_order(place, width, threads), threads), 0
 
 
 @final
