@@ -10,7 +10,6 @@ from multicell.compiling.threads import Team
 from multicell.mechanics.neighbours.pair_list import OffsetArray
 from multicell.vectors import corners
 
-
 _PART = 20_000  # least number of cells for each thread that sorts some
 _SAMPLE = 2000  # keys from which the shares of the threads follow
 
