@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.biology.responding import combine_responses
-from multicell.cells import Cells, FloatArray, Mask, Signals, State, rows_before
+from multicell.cells import Cells, FloatArray, IntArray, Mask, Signals, State, rows_before
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
@@ -132,17 +132,24 @@ def corrected_factor(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: fl
 
 
 def lag_after(
-    plan: BiologyPlan, began: Cells, before: FloatArray, cells: Cells, now: FloatArray, dt: float
+    plan: BiologyPlan,
+    began: Cells,
+    before: FloatArray,
+    cells: Cells,
+    now: FloatArray,
+    dt: float,
+    row: IntArray | None = None,
 ) -> FloatArray:
     """Return for how long each cell has yet to grow after a step, (n,) s of unlimited growth.
 
     - ``began``, ``before``: the cells of the step's beginning, and their factors
     - ``cells``, ``now``: those of its end, whose lag lacks this step, and their factors
     - ``dt``: its length, s
+    - ``row``, (n,): the rows of the cells or their mothers then, where they are known
     """
     grew = growing(plan, began)
     if cells.id is not began.id:  # as in steps with divisions
-        row = rows_before(began, cells)
+        row = rows_before(began, cells) if row is None else row
         grew, before = grew[row], before[row]
     change = np.where(grew & growing(plan, cells), now - before, 0.0)
     return np.where(cells.dead, 0.0, cells.lag + 0.5 * dt * change)

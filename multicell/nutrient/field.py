@@ -227,7 +227,7 @@ class NutrientField:
 
     def restore(self, field: Field, time: float = 0.0) -> None:
         """Take layout and values of a field from a frame of a time in s."""
-        self._layout, values = layouts.restored(field)
+        self._layout, values = layouts.restored(field, self.threads)
         values.flags.writeable = False
         self.values = values
         self._conditions = self.parameters.conditions(self._layout, self.level(time))
@@ -277,9 +277,9 @@ class NutrientField:
                 from multicell.nutrient.layer import farthest_end
 
                 margin = farthest_end(radius, margin)
-            found = BoxLayout.round(tissue, margin, p.spacing, height)
+            found = BoxLayout.round(tissue, margin, p.spacing, height, self.threads)
         else:
-            found = BoxLayout.within(p.domain, p.spacing, height)
+            found = BoxLayout.within(p.domain, p.spacing, height, self.threads)
         same = self._layout is not None and found == self._layout
         reached = position if tissue is position else found.nearest(position)
         return (self.layout, True, reached) if same else (found, False, reached)

@@ -1,15 +1,20 @@
 """Neighbour search against SciPy's k-d tree, by Python and in compiled loops."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 from strategies import cluster, seeds
+from synthetic import cells_at
 
+from multicell.compiling import threads
 from multicell.compiling.threads import launch
 from multicell.mechanics import neighbours
-from multicell.mechanics.neighbours import building
+from multicell.mechanics.neighbours import building, order
+from multicell.simulation.coupling_step import sorted_in_space
 
 
 def oracle(position, cutoff):
@@ -107,6 +112,19 @@ def test_spatial_order_keeps_neighbours_together():
     assert np.median(steps) < 12.0
     before = np.linalg.norm(np.diff(position, axis=0), axis=1)
     assert np.median(before) > 50.0
+
+
+def test_threads_sort_cells_as_one_does(monkeypatch):
+    rng = np.random.default_rng(4)
+    made = cells_at(rng.normal(0.0, 40.0, (3000, 3)), rng.uniform(4.0, 6.0, 3000))
+    alone, _ = sorted_in_space(made, 3000)  # many share a box: ties
+    monkeypatch.setattr(order, "_PART", 10)
+    monkeypatch.setattr(threads, "_WORTH", 10)
+    for number in (2, 5, 16):
+        assert sorted_in_space(made, 3000, None, number)[0].equals(alone)
+        share, large = partial(threads.share_rows, number), made.radius > 5.0
+        assert made.replaced(large, made, share).equals(made.replaced(large, made))
+        assert made.take(large, share).equals(made.take(large))
 
 
 def test_spatial_order_of_any_finite_input():

@@ -163,6 +163,35 @@ def _pairs_of(part, cell, moved, bins, first, second):
 
 
 @njit(**INNER)
+def _count_new(part, count, chunk, first, second, at):
+    """Count the pairs that a part has found by chunks, inner and outer ones of each in turn."""
+    for k in range(at.shape[1]):
+        at[part, k] = 0
+    begin = _FOUND * _PART * part
+    for p in range(begin, begin + count):
+        c, d = first[p] // chunk, second[p] // chunk
+        out = np.int64(c != d)
+        at[part, 2 * c + out] += 1
+        at[part, 2 * d + 1] += out
+
+
+@njit(**INNER)
+def _add(part, count, chunk, new_first, new_second, at, first, second):
+    """Write the pairs that a part has found to their places ``at[part]`` in the list."""
+    begin = _FOUND * _PART * part
+    for p in range(begin, begin + count):
+        i, j = new_first[p], new_second[p]
+        c, d = i // chunk, j // chunk
+        own = 2 * c + np.int64(c != d)
+        first[at[part, own]], second[at[part, own]] = i, j
+        at[part, own] += 1
+        if c != d:
+            other = 2 * d + 1
+            first[at[part, other]], second[at[part, other]] = j, i
+            at[part, other] += 1
+
+
+@njit(**INNER)
 def _leaving(c, moved, first, second, start, outer_end):
     """Return how many pairs of a chunk :func:`_keep` will take out."""
     count = 0
@@ -255,17 +284,17 @@ def _repair(
     parts = (total + _PART - 1) // _PART if bins.shape[0] > 0 else 0
     new_first = np.empty(_FOUND * total, np.int32)
     new_second = np.empty(_FOUND * total, np.int32)
-    new = np.empty(parts, np.int64)
+    new, places = np.empty(parts, np.int64), np.empty((parts, 2 * chunks), np.int64)
     for q in prange(parts):
         new[q] = _pairs_of(q, cell, moved, bins, new_first, new_second)
+        _count_new(q, new[q], chunk, new_first, new_second, places)
     extra, at = np.zeros((chunks, 2), np.int64), np.empty((chunks, 2), np.int64)
     enough = bins.shape[0] > 0
     for part in range(parts):
         enough &= new[part] >= 0
-        for p in range(_FOUND * _PART * part, _FOUND * _PART * part + new[part]):
-            c, d = new_first[p] // chunk, new_second[p] // chunk
-            extra[c, np.int64(c != d)] += 1
-            extra[d, 1] += np.int64(c != d)
+        for c in range(chunks):
+            extra[c, 0] += places[part, 2 * c]
+            extra[c, 1] += places[part, 2 * c + 1]
     for c in range(chunks):
         room = start[c + 1] if c + 1 < chunks else first.size
         room -= outer_end[c] + extra[c, 0] + extra[c, 1]
@@ -279,19 +308,16 @@ def _repair(
         return False, inner_end, outer_end
     for c in prange(chunks):
         _keep(c, moved, first, second, start, inner_end, outer_end, extra, at)
+    for part in range(parts):
+        for c in range(chunks):
+            for side in range(2):
+                k = 2 * c + side
+                places[part, k], at[c, side] = at[c, side], at[c, side] + places[part, k]
+    for q in prange(parts):
+        _add(q, new[q], chunk, new_first, new_second, places, first, second)
     inner, outer = np.empty(chunks, np.int64), np.empty(chunks, np.int64)
     for c in range(chunks):
-        inner[c], outer[c] = at[c, 0] + extra[c, 0], at[c, 1] + extra[c, 1]
-    for part in range(parts):
-        for p in range(_FOUND * _PART * part, _FOUND * _PART * part + new[part]):
-            i, j = new_first[p], new_second[p]
-            c, d = i // chunk, j // chunk
-            side = np.int64(c != d)
-            first[at[c, side]], second[at[c, side]] = i, j
-            at[c, side] += 1
-            if c != d:
-                first[at[d, 1]], second[at[d, 1]] = j, i
-                at[d, 1] += 1
+        inner[c], outer[c] = at[c, 0], at[c, 1]
     return True, inner, outer
 
 
