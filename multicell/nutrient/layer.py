@@ -34,7 +34,7 @@ _CLOSED: Final = 1.5
 """Reach over the radius of a cell within which gaps in tissue are no medium."""
 
 _BINS: Final = 4_000_000  # at most, by which cells inside the tissue are left out
-_BIN: Final = 2.5  # edge of a bin in radii of cells: in dense tissue few are empty
+_BIN: Final = 3.25  # edge of a bin in radii of cells: few are empty in dense tissue
 _COVERS: Final = 0.42
 """Largest edge of a bin over how far cells reach: so near ones cover each other's balls."""
 
