@@ -173,8 +173,7 @@ def test_tissue_grows_along_the_source_of_a_morphogen(compare):
         run.step()
     across, along = run.cells.position[:, :2].std(axis=0)
     what = "morphogen, 100 h from 91 cells (a picture of the authors)"
-    # over seeds 1 to 3: 1.18, 1.19, 1.15, and 7,073, 7,813 and 7,646 cells
+    # three seeds from 92 cells: 1.18, 1.19, 1.15, and 7,073, 7,813 and 7,646 cells
     compare.value(f"{what}: elongation", PICTURE["elongation"], along / across, 0.07)
     rates = (np.log(n / len(place)) / 100.0 for n in (PICTURE["cells"], len(run.cells)))
-    compare.value(f"{what}: mean rate of growth", *rates, 0.004, "1/h")
-    assert run.cells.position[:, :2].std() > 8.0 * place.std()
+    compare.value(f"{what}: mean rate of growth", *rates, 0.003, "1/h")
