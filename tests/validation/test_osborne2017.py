@@ -1,15 +1,14 @@
-"""Case studies of Osborne et al. (2017) by overlapping spheres: adhesion, a crypt, signals.
+"""Adhesion and a crypt of Osborne et al. (2017) by overlapping spheres.
 
-All numbers are those of the authors' programs (github.com/Chaste/CellBasedComparison2017, tests
-``TestNodeBased...``), in diameters and hours: springs of 50 between cells of one size, which their
-daughters reach within an hour. Nothing is tuned. The paper shows curves; what it has of numbers are
-cells that can be counted in the pictures of that repository, one run of each case.
+All numbers are those of the authors' programs, in diameters and hours; nothing is tuned. The paper
+shows curves; what it has of numbers are cells that can be counted in the authors' pictures.
 """
 
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from overlapping_spheres import DIAMETER, GROWING, HOUR, SPRING, lattice, placed, tissue
 from scipy.optimize import brentq
 from sorting import mixed
 
@@ -17,36 +16,7 @@ import multicell as mc
 from multicell.cells import State
 
 SUBJECT, SOURCE = "biology", "osborne2017"
-HOUR, DIAMETER = 3600.0, 10.0  # s, µm
-COUNT = 400
-VISCOSITY = 1.0
-SPRING = 50 * 6 * np.pi * VISCOSITY * DIAMETER / 2 / HOUR  # nN/µm: 50 drags of a cell in an hour
-GROWING = {"duration": "1 h"}  # of daughters, to the full size
-
-
-def tissue(cutoff=1.5, **parts):
-    """Return the parts that all cases share: spheres in a plane, by springs of Chaste."""
-    return {
-        "dimensions": 2, "cells": {"division_radius": DIAMETER / 2, "young": "20 kPa"},
-        "contact": {
-            "law": "generalised-linear", "cutoff": cutoff, "stiffness_at_rest": SPRING,
-        },
-        "drag": {"viscosity": VISCOSITY}, "output": {"every": "1 h"}, **parts,
-    }  # fmt: skip
-
-
-def lattice(columns, lines):
-    """Return the places of a hexagonal lattice of cells that touch, (n, 2) µm."""
-    column, line = (x.ravel() for x in np.mgrid[:columns, :lines])
-    return DIAMETER * np.stack([column + 0.5 * (line % 2), np.sqrt(0.75) * line], axis=1)
-
-
-def started(scene, place, **columns):
-    """Return the run of a scene with cells at some places, (n, 2) µm."""
-    x, y = place.T
-    table = {"position_x_um": x, "position_y_um": y, "position_z_um": 0.0 * x}
-    full = {**scene, "initial": {"count": len(x), **scene.get("initial", {})}}
-    return mc.run(mc.Scene.from_dict(full), cells={**table, **columns}, report=False)
+COUNT = 400  # cells that sort
 
 
 # --- adhesion ------------------------------------------------------------------------------------
@@ -120,7 +90,8 @@ def crypt(seed, hours=140.0):
         initial={"stage": "uniform"},
     )  # fmt: skip
     scene["cells"]["reaction_time"] = scene["coupling_step"]
-    return started(scene, lattice(WIDE, LONG))
+    full, table = placed(scene, lattice(WIDE, LONG))
+    return mc.run(full, cells=table, report=False)
 
 
 def free_rate():
