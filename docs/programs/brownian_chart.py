@@ -33,6 +33,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 import pandas as pd
 from marked import replaced
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from picture_origins import FIGURES, record
 from scipy.integrate import quad
 from scipy.stats import t as student
@@ -236,7 +237,8 @@ def described(problem: Problem, one: Try, seed: int) -> mc.Scene:
     step = problem.longest / one.parts
     integrator: dict[str, Any] = {"method": one.method}
     if METHODS[one.method].control == "step":
-        integrator["step"] = 1.01 * step  # one in each internal step
+        # one in each internal step, however far it goes
+        integrator |= {"step": 1.01 * step, "max_displacement": 1.0}
     return problem.scene.with_changes(
         {
             "seed": 100 + seed,
@@ -336,14 +338,18 @@ def interval(values: np.ndarray) -> tuple[float, float]:
 
 
 def paired(entries: Entries, problem: str, one: Try, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return samples of a try and those of the reference on the same paths, (n,) each."""
+    """Return samples of a try and those of the reference on the same paths, (n,) each.
+
+    There are none where some run of them failed: those that did not are no fair sample.
+    """
     ours, exact = (entries.get((problem, which), {}) for which in (one, REFERENCE))
     both: list[list[float]] = [[], []]
     for seed in sorted(set(ours) & set(exact)):
-        pair = [entries_of[seed].get("samples", {}).get(name) for entries_of in (ours, exact)]
-        if pair[0] is not None and pair[1] is not None:
-            for column, values in zip(both, pair, strict=True):
-                column.extend(values)
+        pair = [by_seed[seed].get("samples", {}).get(name) for by_seed in (ours, exact)]
+        if None in pair:
+            return np.empty(0), np.empty(0)
+        for column, values in zip(both, pair, strict=True):
+            column.extend(values)
     return np.array(both[0]), np.array(both[1])
 
 
@@ -387,7 +393,7 @@ def order(
 ) -> tuple[float, float, float, int] | None:
     """Return the weak order by regression, its 95 % interval, and the number of errors in it.
 
-    Errors count that are larger than twice half their interval; with fewer than two there is none.
+    Errors count whose interval does not reach zero; with fewer than two there is none.
     """
     parts, rows = [], []
     for k in range(HALVINGS):
@@ -395,10 +401,10 @@ def order(
         if len(ours):
             off = (ours - exact) / exact.mean()
             mean, half = interval(off)
-            if abs(mean) > 2.0 * half:
+            if abs(mean) > half:
                 parts.append(2**k)
                 rows.append(off)
-    if len(rows) < 2 or len({len(row) for row in rows}) > 1:
+    if len(rows) < 2:
         return None
     away, along = np.array(rows), -np.log(parts)
 
@@ -445,13 +451,17 @@ def checks(entries: Entries) -> str:
 
 
 def summary(entries: Entries, found: pd.DataFrame) -> str:
-    """Return the table of the page: order, and error and passes at the second longest step."""
+    """Return the table of the page: orders, and errors and passes at the second longest step."""
     main = {problem: group.iloc[0]["observable"] for problem, group in found.groupby("problem")}
-    shown = [problem for problem in TITLES if problem in main]
-    heads = [f"{TITLES[problem]}: order; error / %; passes" for problem in shown]
+    shown = [problem for problem in TITLES if problem in main] or sorted(main)
+    heads = [
+        f"{what}: {TITLES.get(problem, problem)}"
+        for what in ("error", "order")
+        for problem in shown
+    ]
     lines = [f"| method | {' | '.join(heads)} |", "|---" * (len(heads) + 1) + "|"]
     for method in SHOWN:
-        cells = []
+        errors, orders = [], []
         for problem in shown:
             at = found[
                 (found["problem"] == problem)
@@ -459,17 +469,16 @@ def summary(entries: Entries, found: pd.DataFrame) -> str:
                 & (found["method"] == method)
                 & (found["parts"] == 2)
             ]
-            slope = order(entries, problem, method, main[problem])
-            said = "not resolved"
-            if slope is not None:
-                said = f"{slope[0]:.2f} ({slope[1]:.2f} to {slope[2]:.2f})"
+            errors.append("failed")
             if len(at):
                 row = at.iloc[0]
-                said += (
-                    f"; {100 * row['error']:+.2g} ± {100 * row['half']:.1g}; {row['passes']:.0f}"
-                )
-            cells.append(said)
-        lines.append(f"| `{method}` | {' | '.join(cells)} |")
+                size, half = 100.0 * row["error"], 100.0 * row["half"]
+                errors[-1] = f"{size:+.2g} ± {half:.1g} %, {row['passes']:.0f}"
+            slope = order(entries, problem, method, main[problem])
+            orders.append("not resolved")
+            if slope is not None:
+                orders[-1] = f"{slope[0]:.1f} ({slope[1]:.1f} to {slope[2]:.1f})"
+        lines.append(f"| `{method}` | {' | '.join([*errors, *orders])} |")
     return "\n".join(lines)
 
 
@@ -477,48 +486,61 @@ def summary(entries: Entries, found: pd.DataFrame) -> str:
 def drawn(found: pd.DataFrame) -> Any:
     """Return the picture: a column for each problem, passes above and CPU below."""
     from matplotlib.figure import Figure
-    from matplotlib.ticker import FuncFormatter
 
-    shown = [
-        problem for problem in [*TITLES, *found["problem"]] if problem in set(found["problem"])
-    ]
-    shown = list(dict.fromkeys(shown))
-    figure = Figure(figsize=(3.4 * len(shown), 6.2), dpi=160, layout="constrained")
+    there = set(found["problem"])
+    shown = [problem for problem in TITLES if problem in there] + sorted(there - set(TITLES))
+    figure = Figure(figsize=(1.2 + 3.0 * len(shown), 6.4), dpi=160, layout="constrained")
     axes = figure.subplots(2, len(shown), squeeze=False, sharey="col")
-    for row, (unit, label) in enumerate(
-        (
-            ("passes", "passes over all cells"),
-            ("cpu_us", "CPU per cell / µs"),
-        )
-    ):
-        for column, problem in enumerate(shown):
-            here, ours = axes[row, column], found[found["problem"] == problem]
-            ours = ours[ours["observable"] == ours.iloc[0]["observable"]]
-            for method, points in ours.groupby("method", sort=False):
-                info = METHODS[str(method)]
-                size, half = 100.0 * points["error"].abs(), 100.0 * points["half"]
-                low = np.minimum(half, 0.9 * size)
-                look = {
-                    "color": info.colour,
-                    "marker": info.marker,
-                    "markersize": 5,
-                    "linewidth": 1.2,
-                    "label": str(method),
-                }
-                here.errorbar(points[unit], size, [low, half], elinewidth=0.7, **look)
-            here.set_xscale("log")
-            here.set_yscale("log")
-            here.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            here.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            here.xaxis.set_minor_formatter(FuncFormatter(lambda value, _: ""))
-            here.set_xlabel(label)
-            if not row:
-                here.set_title(TITLES.get(problem, "own scene"))
-            if not column:
-                here.set_ylabel("weak error / %")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=7)
+    labels = {"passes": "passes over all cells", "cpu_us": "CPU / µs per cell"}
+    for (row, unit), (column, problem) in product(enumerate(labels), enumerate(shown)):
+        here, ours = axes[row, column], found[found["problem"] == problem]
+        ours = ours[ours["observable"] == ours.iloc[0]["observable"]]
+        for method, points in ours.groupby("method", sort=False):
+            draw_method(here, str(method), points, unit)
+        here.set(xscale="log", yscale="log", xlabel=labels[unit])
+        for axis in (here.xaxis, here.yaxis):
+            axis.set_major_locator(LogLocator(subs=(1.0,) if axis is here.yaxis else (1.0, 3.0)))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axis.set_minor_formatter(NullFormatter())
+        if not row:
+            here.set_title(TITLES.get(problem, "own scene"))
+        if not column:
+            here.set_ylabel("weak error / %")
+    figure.legend(
+        *axes[0, 0].get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=len(SHOWN),
+        fontsize=11,
+        columnspacing=1.0,
+        handletextpad=0.4,
+    )
     return figure
+
+
+def draw_method(axes: Any, method: str, points: pd.DataFrame, unit: str) -> None:
+    """Draw the errors of a method over a cost; those that reach zero hollow, and up from there."""
+    look, size = METHODS[method], 100.0 * points["error"].abs()
+    half = 100.0 * points["half"].fillna(0.0)
+    clear = half < size
+    axes.plot(points[unit], size, color=look.colour, linewidth=1.2)
+    axes.errorbar(
+        points[unit],
+        size,
+        [half.where(clear, 0.0), half],
+        fmt="none",
+        color=look.colour,
+        elinewidth=0.7,
+    )
+    axes.plot([], [], color=look.colour, marker=look.marker, markersize=5, label=method)
+    for which, face in ((clear, look.colour), (~clear, "white")):
+        axes.plot(
+            points[unit][which],
+            size[which],
+            look.marker,
+            color=look.colour,
+            markerfacecolor=face,
+            markersize=5,
+        )
 
 
 def main() -> None:
