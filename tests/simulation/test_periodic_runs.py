@@ -6,6 +6,7 @@ from running import finished, refused
 from synthetic import cells_at
 
 import multicell as mc
+from multicell.errors import DataError
 from multicell.results.frame import Frame
 from multicell.results.observables import touching
 from multicell.scene.scene import Scene
@@ -130,7 +131,7 @@ def test_contacts_of_cells_that_rounding_puts_below_zero():
 def test_cells_at_one_place_over_the_border_are_refused(other):
     """As a lattice with both ends of the box has them."""
     table = {"x_um": [-20.0, 0.0, other], "y_um": [1.0, 1.0, 45.0], "z_um": [0.0, 0.0, 0.0]}
-    with pytest.raises(mc.DataError, match=r"row 2.*is at the place of row 0"):
+    with pytest.raises(DataError, match=r"row 2.*is at the place of row 0"):
         Simulation(scene_of(), cells=table)
     # walls stand there: these are two cells
     walled = {**table, "x_um": [-20.0, 0.0, 19.0], "y_um": [1.0, 1.0, 1.0]}
