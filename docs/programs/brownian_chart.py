@@ -71,7 +71,7 @@ COPIES = 160
 @final
 @dataclass(frozen=True)
 class Problem:
-    """What is simulated, and what is measured.
+    """A scene, and the means of its cells that are measured.
 
     - ``scene``, ``cells``: as ``mc.Simulation`` takes them
     - ``longest``: longest internal step, s

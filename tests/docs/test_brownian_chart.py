@@ -14,7 +14,7 @@ chart = program("brownian_chart")
 
 
 def entries(order, n=400, seeds=3, level=0.1):
-    """Return what a method of an order leaves in the log, beside its reference."""
+    """Return entries of a log for a method of an order, and for its reference."""
     random, found = np.random.default_rng(0), {}
     for seed in range(seeds):
         exact = 1.0 + 0.3 * random.normal(size=n)
