@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from multicell.cells import Phase
 from multicell.contact.law import effective_modulus
@@ -25,7 +25,7 @@ from multicell.scene.scales import (
     repeating,
     touches_medium,
 )
-from multicell.scene.sizes import division_radius, radius_scales
+from multicell.scene.sizes import division_radius, internal_step, radius_scales
 from multicell.schema import leaves, near_miss, separated
 
 if TYPE_CHECKING:
@@ -96,6 +96,27 @@ def check_towards(scene: Scene) -> None:
     if towards and towards not in scene.nutrients:
         problem = f"is {towards!r}, which is not {FIELD_HINT}"
         raise SceneError("motility.towards", problem, near_miss(towards, scene.nutrients))
+
+
+_MOST_INTERNAL: Final = 1e6
+"""Internal steps of diffusion in a coupling step: a quarter of an hour for few cells."""
+
+
+def check_diffusion(scene: Scene) -> None:
+    """Raise ``SceneError`` where diffusion has more internal steps than a run would end."""
+    law = scene.motility
+    axes = set("xyz"[: scene.dimensions])
+    walled = scene.domain is not None and set(scene.domain.periodic) != axes
+    # without contacts and walls the path is followed exactly
+    if law is None or law.diffusion is None or not (scene.contact.acts or walled):
+        return
+    step = internal_step(scene)
+    if scene.coupling_step > _MOST_INTERNAL * step:
+        key = "diffusion" if law.diffusion_step is None else "diffusion_step"
+        steps = scene.coupling_step / step
+        problem = f"has {steps:.2g} internal steps in a coupling step, more than a million"
+        hint = "Shorten coupling_step, or lengthen motility.diffusion_step."
+        raise SceneError(f"motility.{key}", problem, hint)
 
 
 def check_flat(scene: Scene) -> None:

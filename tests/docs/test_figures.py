@@ -18,8 +18,8 @@ from multicell.studies.runs import MODEL_VERSION
 
 DOCS = ROOT / "docs"
 COMPARISONS = {
-    "compare-stiff-inclusions.png", "mathias2022.png", "osborne2024.png", "tiles-fine.png",
-    "tiles.png",
+    "brownian.png", "compare-stiff-inclusions.png", "mathias2022.png", "osborne2024.png",
+    "tiles-fine.png", "tiles.png",
 }  # fmt: skip
 PUBLISHED = {"theirs", "backward", "FE", "MP", "BE", "RK4", "shifted", "threshold Euler",
              "threshold RK4"}  # fmt: skip

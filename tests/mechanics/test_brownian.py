@@ -263,6 +263,11 @@ def test_refusals():
         spring_scene(motility={"diffusion_step": "1 s"})
     with refused("motility.bias", "has no effect"):
         spring_scene(motility={"diffusion": 0.1, "bias": 0.5, "direction": [1, 0, 0]})
+    with refused("motility.diffusion_step", "6e+07 internal steps"):
+        spring_scene(motility={"diffusion": 0.1, "diffusion_step": "1e-6 s"})
+    with refused("motility.diffusion", "more than a million"):
+        spring_scene(motility={"diffusion": "1e6 um^2/s"})
+    assert Scene.from_dict({**FREE, "motility": {"diffusion": 1e6}}).motility.diffusion == 1e6
     scene = spring_scene(motility={"diffusion": "0.1 um^2/s"}, initial={"count": 3})
     assert scene.motility.force == 0.0
     assert spring_scene(motility={}).motility.force == 0.1
