@@ -236,6 +236,7 @@ def test_a_regular_lattice_feels_no_force():
     np.testing.assert_allclose(system.pressure(0.0, grid), pressure, rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_threads_give_the_same_bits():
     place, radius, young = tissue()
     found = []
