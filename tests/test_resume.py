@@ -127,6 +127,8 @@ CASES = {
     }),
 }  # fmt: skip
 """Further physics is resumed from frames in memory in ``test_determinism``."""
+ALONE = ("exact JKR", "space that repeats")
+"""Cases whose kernels no other short test needs."""
 
 
 @pytest.fixture(scope="module")
@@ -137,7 +139,7 @@ def spheroid(tmp_path_factory):
 
 @pytest.mark.parametrize(
     "case",
-    [pytest.param(case, marks=pytest.mark.slow) if "exact" in case else case for case in CASES],
+    [pytest.param(case, marks=pytest.mark.slow) if case in ALONE else case for case in CASES],
 )
 def test_resumed_runs_have_the_bits_of_uninterrupted_ones(case, spheroid, tmp_path):
     name, changes = CASES[case]

@@ -55,6 +55,7 @@ def ramp(step, ligand):
     return cells.position[np.argsort(cells.id)], cells
 
 
+@pytest.mark.slow
 def test_ligands_that_ramp_to_zero_within_one_step():
     """One coupling step with rates ends where 600 short ones with nearly constant values do."""
     position, cells = ramp("10 min", [[0, 0.9], ["10 min", 0.0]])

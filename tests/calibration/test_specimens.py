@@ -239,6 +239,7 @@ def small(geometry):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("geometry", ["box", "radial"])
 def test_a_profile_is_the_mean_of_the_field_over_a_sphere(geometry):
     scene = small(geometry)

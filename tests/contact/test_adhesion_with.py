@@ -94,6 +94,7 @@ def system(law, radius, young, **options):
     return made, kind
 
 
+@pytest.mark.slow
 @pytest.mark.kernels
 def test_sums_over_pairs_and_their_derivative():
     law = CubicSpring(stiffness_at_rest=1.2).scaled_by_pairs()

@@ -323,6 +323,7 @@ def test_a_lattice_loses_its_energy_to_drag_and_keeps_its_place():
     assert spent == pytest.approx(lost, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_threads_give_the_same_bits():
     place, radius, young = tissue()
     found = []

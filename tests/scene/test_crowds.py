@@ -86,8 +86,8 @@ def test_cells_at_one_place_are_told_apart_without_their_pairs():
 
 @pytest.mark.slow
 def test_a_crowd_that_is_handed_over_is_refused_in_words():
-    scene = mc.load_scene("settle").with_changes({"initial.count": 20_000, "duration": "1 min"})
+    scene = mc.load_scene("settle").with_changes({"initial.count": 4_000, "duration": "1 min"})
     cells = initial_cells(scene)
-    cells.position[:] = 0.0
+    cells.position[:] = 0.0  # 8 million pairs, of 500 for each cell and 4 million
     with pytest.raises(MulticellError, match="top of each other"):
         mc.Simulation(scene, cells=cells, threads=1).step()

@@ -68,7 +68,7 @@ def test_what_a_scene_refuses_the_schema_refuses_there(case):
     assert [next(iter(error.path), None) for error in errors] == [place]
 
 
-@settings(max_examples=50, suppress_health_check=list(HealthCheck), deadline=None)
+@settings(max_examples=25, suppress_health_check=list(HealthCheck), deadline=None)
 @given(entries=drawn.plausible(small=False))
 def test_whatever_is_a_scene_is_valid(entries):
     try:

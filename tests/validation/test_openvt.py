@@ -27,6 +27,7 @@ def widths(frames, first=0, last=-1):
 # --- a chain of springs --------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_chain_relaxes_by_its_modes_and_as_published(compare):
     run = mc.run(mc.load_scene("openvt-chain"))
     n, rest = 11, np.arange(11) - 5.0
