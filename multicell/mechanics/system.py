@@ -349,27 +349,11 @@ class Mechanics:
             before, after = given.placed(begin, before), given.placed(end, after)
             speed, end_speed = speed + given.velocity, end_speed + given.velocity
             way += given.fastest * (end - begin)
-        path = before, after, speed, end_speed
         if self._watch is None:
             self._watch = ContactWatch(self.motion)
-        found = self._watch.forming(
-            pairs, self._pair_data, self._rows, path, begin, end, way, tolerance
-        )
-        if len(found) == 0:
-            return 1.0
-        return float(
-            forces.missed_contact(
-                self._cells,
-                self._pair_data,
-                self._law,
-                self._rows,
-                found,
-                *path,
-                begin - self.motion.begin,
-                end - begin,
-                tolerance,
-            )
-        )
+        kernel = self._cells, self._pair_data, self._law, self._rows
+        path = before, after, speed, end_speed
+        return self._watch.missed_contact(pairs, kernel, path, begin, end, way, tolerance)
 
     def setup_preconditioner(self, gamma: float, linear: Linearisation) -> None:
         """Invert the 3 x 3 diagonal blocks of I - γJ, stable part, at the linearisation."""

@@ -9,7 +9,7 @@ many pairs noted, and not all others too.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 from numba import njit
@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.compiling import KERNEL
-from multicell.mechanics.forces import forming_pairs, pairs_about_to_touch
+from multicell.mechanics.forces import forming_pairs, missed_contact, pairs_about_to_touch
 
 if TYPE_CHECKING:
-    from multicell.mechanics.forces import PairData
+    from multicell.mechanics.forces import CellData, PairData
     from multicell.mechanics.motion import Motion
     from multicell.mechanics.neighbours import PairList
 
@@ -48,15 +48,12 @@ def _has_room(reference, room, before, after, slack):
 
 @njit(**KERNEL)
 def _look(
-    reference,
-    room,
-    places,
+    watched,
     known,
-    found,
+    cells,
     pairs,
+    law,
     rows,
-    radius,
-    rate,
     before,
     after,
     speed,
@@ -65,14 +62,14 @@ def _look(
     dt,
     way,
     slack,
-    least,
     tolerance,
 ):
-    """Note which pairs come into contact in a step.
+    """Return the part of a step to be taken, as :func:`.forces.missed_contact` does.
 
-    Returns how many do, how many are watched, of which ``known`` (-1: none yet) were before, and
-    whether they were searched for anew.
+    Also how many pairs are watched, of which ``known`` (-1: none yet) were before, and whether they
+    were searched for anew.
     """
+    reference, room, places, found = watched.reference, watched.room, watched.places, watched.found
     renewed = known < 0 or not _has_room(reference, room, before, after, slack)
     if renewed:
         for i in range(room.size):
@@ -80,13 +77,13 @@ def _look(
             for k in range(3):
                 reference[i, k] = rows[i, k]
                 square += (after[i, k] - before[i, k]) ** 2
-            room[i] = max(least, _STEPS * math.sqrt(square)) + 2.0 * slack
+            room[i] = max(watched.least, _STEPS * math.sqrt(square)) + 2.0 * slack
         known = pairs_about_to_touch(pairs, rows, elapsed, room, places)
     forming = forming_pairs(
         places[:known],
         pairs,
-        radius,
-        rate,
+        cells.radius,
+        cells.radius_rate,
         before,
         after,
         speed,
@@ -97,7 +94,36 @@ def _look(
         tolerance,
         found,
     )
-    return forming, known, renewed
+    part = 1.0
+    if forming > 0:
+        part = missed_contact(
+            cells,
+            pairs,
+            law,
+            rows,
+            found[:forming],
+            before,
+            after,
+            speed,
+            end_speed,
+            elapsed,
+            dt,
+            tolerance,
+        )
+    return part, known, renewed
+
+
+class Watched(NamedTuple):
+    """Arrays of a watch: where cells were, their room, places in the list of pairs.
+
+    ``found`` are those that come into contact in the last step, ``least`` the least room, µm.
+    """
+
+    reference: FloatArray
+    room: FloatArray
+    places: NDArray[np.int64]
+    found: NDArray[np.int64]
+    least: float
 
 
 @final
@@ -106,56 +132,48 @@ class ContactWatch:
 
     def __init__(self, motion: Motion) -> None:
         self._motion = motion
-        self._least = _LEAST * motion.largest_radius
-        self._room = np.empty(len(motion.radius))
-        self._reference = np.empty((len(self._room), 3))
+        room, none = np.empty(len(motion.radius)), np.empty(0, dtype=np.int64)
+        least = _LEAST * motion.largest_radius
+        self._watched = Watched(np.empty((len(room), 3)), room, none, none, least)
         self._pairs: PairList | None = None
         self._since, self._known = 0.0, -1
-        self._places = self._found = np.empty(0, dtype=np.int64)
 
-    def forming(
+    def missed_contact(
         self,
         pairs: PairList,
-        data: PairData,
-        rows: FloatArray,
+        kernel: tuple[CellData, PairData, Any, FloatArray],
         path: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
         begin: float,
         end: float,
         way: float,
         tolerance: float,
-    ) -> NDArray[np.int64]:
-        """Return the places in the list of pairs that come into contact within a step.
+    ) -> float:
+        """Return the part of a step to be taken, as :func:`.forces.missed_contact` does.
 
-        - ``pairs``, ``data``, ``rows``: of the last evaluation, at the end of the step
+        - ``pairs``, ``kernel``: list, and data, law and rows of the last evaluation, at the end of
+          the step
         - ``begin``, ``end``: of the step, s
         - ``path``, ``way``, ``tolerance``: places and velocities at both ends, and the rest, as
           :func:`.forces.forming_pairs` takes them
         """
         if self._pairs is not pairs:
             self._pairs, self._known, self._since = pairs, -1, end
-            self._places = np.empty(len(data.first), dtype=np.int64)
-            self._found = np.empty_like(self._places)
+            places, found = np.empty((2, len(pairs.first)), dtype=np.int64)
+            self._watched = self._watched._replace(places=places, found=found)
         motion, dt = self._motion, end - begin
         # radii change, and gaps below the tolerance are looked at wherever cells go
         slack = motion.fastest_growth * (abs(begin - self._since) + dt) + 0.5 * tolerance
-        forming, self._known, renewed = _look(
-            self._reference,
-            self._room,
-            self._places,
+        part, self._known, renewed = _look(
+            self._watched,
             self._known,
-            self._found,
-            data,
-            rows,
-            motion.radius,
-            motion.radius_rate,
+            *kernel,
             *path,
             begin - motion.begin,
             dt,
             way,
             slack,
-            self._least,
             tolerance,
         )
         if renewed:
             self._since = end
-        return self._found[:forming]
+        return float(part)
