@@ -77,9 +77,9 @@ class _Loader:
             return
         try:
             with warnings.catch_warnings():
-                # Of values that it cannot read, and of nothing else: a press leaves the file of a
-                # module that is being read open, which Python would call an error then
-                warnings.simplefilter("error", UserWarning)
+                warnings.simplefilter("error")  # of values that numba cannot read
+                # a press leaves the file of a module that is being read open, which is no error
+                warnings.simplefilter("ignore", ResourceWarning)
                 exec(code, module.__dict__)
             if vars(module)["NUMBA_NUM_THREADS"] < 1:  # numba would say so much later
                 raise ValueError("NUMBA_NUM_THREADS must be at least 1")

@@ -75,7 +75,7 @@ def exchange_beyond(
         distance = _distances(tissue, reach, width, first, box.spacing, counts)
         rings = math.ceil(opened)  # towards the cells, and no farther into gaps
         medium = binary_dilation(medium, iterations=rings, mask=distance >= 0.0).view(np.uint8)
-    _exchange(distance, medium, flat, out)
+    _exchange(distance, medium, flat, HELD_RATE, out)
     return out
 
 
@@ -330,8 +330,8 @@ def _beyond(distance: Any) -> Any:
 
 
 @_jit
-def _exchange(distance: Any, medium: Any, flat: bool, out: Any) -> None:
-    """Write the rates of exchange over D/h²."""
+def _exchange(distance: Any, medium: Any, flat: bool, most: float, out: Any) -> None:
+    """Write the rates of exchange over D/h², of which ``most`` is the largest."""
     nx, ny, nz = out.shape
     up = 0 if flat else 1
     for i in range(nx):
@@ -339,7 +339,7 @@ def _exchange(distance: Any, medium: Any, flat: bool, out: Any) -> None:
             for k in range(nz):
                 a, b, c = i + 1, j + 1, k + up
                 if medium[a, b, c]:
-                    out[i, j, k] = HELD_RATE
+                    out[i, j, k] = most
                     continue
                 inside, total = -float(distance[a, b, c]), 0.0
                 if inside <= 0.0:  # in a gap
@@ -357,7 +357,7 @@ def _exchange(distance: Any, medium: Any, flat: bool, out: Any) -> None:
                         edge = edge or (not flat and (f == 0 or f == nz + 1))
                         ratio = (inside + beyond) / max(inside, 1e-9)
                         total += max(ratio - (2.0 if edge else 1.0), 0.0)
-                out[i, j, k] = min(total, HELD_RATE)
+                out[i, j, k] = min(total, most)
 
 
 def exchanged(exchange: FloatArray, c: FloatArray, level: float) -> tuple[float, float]:
