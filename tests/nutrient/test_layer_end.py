@@ -30,7 +30,7 @@ SHAPE = "nutrients.oxygen.margin_shape"
     ids=["first", "zeroth", "first-100000-cells"],
 )
 def test_a_consuming_ball_in_its_layer(order, radius, apart):
-    """Both uptakes against closed forms: at the surface, along axes and along diagonals, to 1 %."""
+    """Both uptakes against closed forms: at the surface, along axes and along diagonals."""
     position, volume = packed(radius, apart)
     end = mean_end(position, np.full(len(position), 8.0), MARGIN)
     assert end == pytest.approx(radius + MARGIN, abs=6.0)
