@@ -149,7 +149,7 @@ def stray(position):
 
 
 @pytest.mark.parametrize("place", [np.copy, stray])
-@pytest.mark.parametrize("chunk", [100, 2048])
+@pytest.mark.parametrize("chunk", [7, 100, 2048])
 @pytest.mark.parametrize("run", ["rebuild", "rebuild_parallel"])
 def test_compiled_and_called_lists_are_the_same(place, chunk, run):
     position, radius, _ = cluster(700, 3, variation=0.3)

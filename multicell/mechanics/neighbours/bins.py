@@ -19,7 +19,9 @@ from multicell.mechanics.rows import RADIUS
 
 _BINS_PER_CELL = 24  # most bins for each cell: scattered cells get wider ones
 _SPARE_BINS = 4096  # and for few cells: 32 kB of counts
-_SLABS = 64  # ranges of bins that threads sort at most; more than one where there are chunks
+SLABS = 64
+"""Parts in which threads count and sort at most: tables grow with the cells, not their square."""
+
 SLICES = 4  # bins along x for each along y and z
 _LARGEST = 6  # column of ``extent`` behind both corners: the largest radius of a chunk
 _X, _Y, _Z = np.arange(3)  # axes; with literals each would have its own functions compiled
@@ -267,7 +269,7 @@ def dense_bins(position, radius, skin, chunk):
         _extent(c, chunk, position, radius, extent)
     largest, low, shape = _dense_grid(extent, skin, n)
     bins, shift = shape[0] * shape[1] * shape[2], 0
-    while (bins - 1) >> shift >= min(_SLABS, chunks):
+    while (bins - 1) >> shift >= min(SLABS, chunks):
         shift += 1
     slabs, dense = ((bins - 1) >> shift) + 1, chunks if bins > 0 else 0
     at, by_slab = np.empty((chunks, slabs), np.int64), np.empty(n, np.int32)

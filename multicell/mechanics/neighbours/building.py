@@ -12,6 +12,7 @@ from multicell.compiling import INNER
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.neighbours.bins import (
     SEARCHED,
+    SLABS,
     SLICES,
     Bins,
     collect,
@@ -162,13 +163,15 @@ def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
 
 
 @njit(**INNER)
-def _count_mirrored(c, chunk, base, found, second, at):
-    """Count the outer pairs of a chunk by the chunks of their second cells."""
-    for d in range(at.shape[1]):
-        at[c, d] = 0
-    own = base[c] + found[c, 0]
-    for k in range(own, own + found[c, 1]):
-        at[c, np.uint64(second[k] // chunk)] += 1
+def _count_mirrored(g, chunk, base, found, second, at):
+    """Count the outer pairs of some chunks, the part ``g``, by the chunks of their second cells."""
+    parts, chunks = at.shape
+    for d in range(chunks):
+        at[g, d] = 0
+    for c in range(g * chunks // parts, (g + 1) * chunks // parts):
+        own = base[c] + found[c, 0]
+        for k in range(own, own + found[c, 1]):
+            at[g, np.uint64(second[k] // chunk)] += 1
 
 
 @njit(**INNER)
@@ -180,9 +183,9 @@ def _make_room(base, room, found, at, end):
     chunks, enough = found.shape[0], True
     for c in range(chunks):
         end[c] = base[c] + found[c, 0] + found[c, 1]
-    for c in range(chunks):
+    for g in range(at.shape[0]):
         for d in range(chunks):
-            at[c, d], end[d] = end[d], end[d] + at[c, d]
+            at[g, d], end[d] = end[d], end[d] + at[g, d]
     for c in range(chunks):
         if end[c] > base[c + 1]:
             room[c, 1] += end[c] - base[c + 1]
@@ -191,14 +194,16 @@ def _make_room(base, room, found, at, end):
 
 
 @njit(**INNER)
-def _mirror(c, chunk, base, found, first, second, at):
-    """Give the outer pairs of a chunk to the chunks of their second cells, too."""
-    own = base[c] + found[c, 0]
-    for k in range(own, own + found[c, 1]):
-        d = np.uint64(second[k] // chunk)
-        p = np.uint64(at[c, d])
-        first[p], second[p] = second[k], first[k]
-        at[c, d] += 1
+def _mirror(g, chunk, base, found, first, second, at):
+    """Give the outer pairs of a part's chunks to the chunks of their second cells, too."""
+    parts, chunks = at.shape
+    for c in range(g * chunks // parts, (g + 1) * chunks // parts):
+        own = base[c] + found[c, 0]
+        for k in range(own, own + found[c, 1]):
+            d = np.uint64(second[k] // chunk)
+            p = np.uint64(at[g, d])
+            first[p], second[p] = second[k], first[k]
+            at[g, d] += 1
 
 
 def _rebuild(position, radius, skin, chunk, first, second):
@@ -223,7 +228,8 @@ def _rebuild(position, radius, skin, chunk, first, second):
     bins = Bins(order, place, cells, dense.largest, dense.low, dense.shape, dense.start, ranges)
     base, limit = np.empty(chunks + 1, np.int64), 500 * n + _SPARE_PAIRS
     room, counts = np.empty((chunks, 2), np.int64), np.empty((chunks, 2), np.int64)
-    at = np.empty((chunks, chunks), np.int64)
+    parts = min(chunks, SLABS)
+    at = np.empty((parts, chunks), np.int64)
     start, inner_end = np.empty(chunks, np.int64), np.empty(chunks, np.int64)
     outer_end = np.empty(chunks, np.int64)
     for c in range(chunks):
@@ -246,11 +252,11 @@ def _rebuild(position, radius, skin, chunk, first, second):
         if total > limit:
             break
         if enough:
-            for c in prange(chunks):
-                _count_mirrored(c, chunk, base, counts, second, at)
+            for g in prange(parts):
+                _count_mirrored(g, chunk, base, counts, second, at)
             if _make_room(base, room, counts, at, outer_end):
-                for c in prange(chunks):
-                    _mirror(c, chunk, base, counts, first, second, at)
+                for g in prange(parts):
+                    _mirror(g, chunk, base, counts, first, second, at)
                 break
     for c in range(chunks):
         start[c], inner_end[c] = base[c], base[c] + counts[c, 0]

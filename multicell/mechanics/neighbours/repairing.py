@@ -11,6 +11,7 @@ from multicell.compiling import INNER
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.neighbours.bins import (
     SEARCHED,
+    SLABS,
     SLICES,
     collect,
     dense_bins,
@@ -163,32 +164,39 @@ def _pairs_of(part, cell, moved, bins, first, second):
 
 
 @njit(**INNER)
-def _count_new(part, count, chunk, first, second, at):
-    """Count the pairs that a part has found by chunks, inner and outer ones of each in turn."""
+def _count_new(g, new, chunk, first, second, at):
+    """Count the pairs that some parts, the group ``g``, have found, ``new`` of each, by chunks.
+
+    Inner and outer pairs of each chunk in turn.
+    """
+    groups, parts = at.shape[0], new.size
     for k in range(at.shape[1]):
-        at[part, k] = 0
-    begin = _FOUND * _PART * part
-    for p in range(begin, begin + count):
-        c, d = first[p] // chunk, second[p] // chunk
-        out = np.int64(c != d)
-        at[part, 2 * c + out] += 1
-        at[part, 2 * d + 1] += out
+        at[g, k] = 0
+    for part in range(g * parts // groups, (g + 1) * parts // groups):
+        begin = _FOUND * _PART * part
+        for p in range(begin, begin + new[part]):
+            c, d = first[p] // chunk, second[p] // chunk
+            out = np.int64(c != d)
+            at[g, 2 * c + out] += 1
+            at[g, 2 * d + 1] += out
 
 
 @njit(**INNER)
-def _add(part, count, chunk, new_first, new_second, at, first, second):
-    """Write the pairs that a part has found to their places ``at[part]`` in the list."""
-    begin = _FOUND * _PART * part
-    for p in range(begin, begin + count):
-        i, j = new_first[p], new_second[p]
-        c, d = i // chunk, j // chunk
-        own = 2 * c + np.int64(c != d)
-        first[at[part, own]], second[at[part, own]] = i, j
-        at[part, own] += 1
-        if c != d:
-            other = 2 * d + 1
-            first[at[part, other]], second[at[part, other]] = j, i
-            at[part, other] += 1
+def _add(g, new, chunk, new_first, new_second, at, first, second):
+    """Write the pairs that a group has found to their places ``at[g]`` in the list."""
+    groups, parts = at.shape[0], new.size
+    for part in range(g * parts // groups, (g + 1) * parts // groups):
+        begin = _FOUND * _PART * part
+        for p in range(begin, begin + new[part]):
+            i, j = new_first[p], new_second[p]
+            c, d = i // chunk, j // chunk
+            own = 2 * c + np.int64(c != d)
+            first[at[g, own]], second[at[g, own]] = i, j
+            at[g, own] += 1
+            if c != d:
+                other = 2 * d + 1
+                first[at[g, other]], second[at[g, other]] = j, i
+                at[g, other] += 1
 
 
 @njit(**INNER)
@@ -284,17 +292,20 @@ def _repair(
     parts = (total + _PART - 1) // _PART if bins.shape[0] > 0 else 0
     new_first = np.empty(_FOUND * total, np.int32)
     new_second = np.empty(_FOUND * total, np.int32)
-    new, places = np.empty(parts, np.int64), np.empty((parts, 2 * chunks), np.int64)
-    for q in prange(parts):
-        new[q] = _pairs_of(q, cell, moved, bins, new_first, new_second)
-        _count_new(q, new[q], chunk, new_first, new_second, places)
+    groups, new = min(parts, SLABS), np.empty(parts, np.int64)
+    places = np.empty((groups, 2 * chunks), np.int64)
+    for g in prange(groups):
+        for q in range(g * parts // groups, (g + 1) * parts // groups):
+            new[q] = _pairs_of(q, cell, moved, bins, new_first, new_second)
+        _count_new(g, new, chunk, new_first, new_second, places)
     extra, at = np.zeros((chunks, 2), np.int64), np.empty((chunks, 2), np.int64)
     enough = bins.shape[0] > 0
     for part in range(parts):
         enough &= new[part] >= 0
+    for g in range(groups):
         for c in range(chunks):
-            extra[c, 0] += places[part, 2 * c]
-            extra[c, 1] += places[part, 2 * c + 1]
+            extra[c, 0] += places[g, 2 * c]
+            extra[c, 1] += places[g, 2 * c + 1]
     for c in range(chunks):
         room = start[c + 1] if c + 1 < chunks else first.size
         room -= outer_end[c] + extra[c, 0] + extra[c, 1]
@@ -308,13 +319,13 @@ def _repair(
         return False, inner_end, outer_end
     for c in prange(chunks):
         _keep(c, moved, first, second, start, inner_end, outer_end, extra, at)
-    for part in range(parts):
+    for g in range(groups):
         for c in range(chunks):
             for side in range(2):
                 k = 2 * c + side
-                places[part, k], at[c, side] = at[c, side], at[c, side] + places[part, k]
-    for q in prange(parts):
-        _add(q, new[q], chunk, new_first, new_second, places, first, second)
+                places[g, k], at[c, side] = at[c, side], at[c, side] + places[g, k]
+    for g in prange(groups):
+        _add(g, new, chunk, new_first, new_second, places, first, second)
     inner, outer = np.empty(chunks, np.int64), np.empty(chunks, np.int64)
     for c in range(chunks):
         inner[c], outer[c] = at[c, 0], at[c, 1]
