@@ -41,7 +41,7 @@ def pytest_addoption(parser):
     group.addoption("--first-seed", type=int, default=0, help="of what is drawn; others each time")
     group.addoption("--kills", type=int, default=2, help="runs that are killed")
     group.addoption("--full-disks", type=int, default=2, help="runs on a disk that gets full")
-    group.addoption("--damages", type=int, default=6, help="folders of each kind that are damaged")
+    group.addoption("--damages", type=int, default=3, help="folders of each kind that are damaged")
     group.addoption("--interrupts", type=int, default=2, help="processes that are interrupted")
     group.addoption("--keys", type=int, default=0, help="keys of each scene that are changed")
     group.addoption("--calibrations", type=int, default=0, help="repeats of fits on known data")
@@ -105,7 +105,7 @@ def pytest_collection_modifyitems(config, items):
 def pytest_collection_finish():
     # the collector leaves alone what is there now, and numba's types are many: it looks more seldom
     gc.freeze()
-    gc.set_threshold(20_000, 20, 50)
+    gc.set_threshold(50_000, 20, 50)
     gc.enable()
 
 

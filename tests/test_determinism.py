@@ -16,7 +16,7 @@ from multicell.integrators.registry import METHODS
 pytestmark = pytest.mark.kernels
 
 SCRIPT = Path(bits.__file__)
-COMMON = ("death", "fields", "friction", "phases", "receptors")
+COMMON = ("death", "fields", "friction", "phases", "receptors, types")
 """What short tests go on with; each of the others compiles kernels of its own."""
 
 

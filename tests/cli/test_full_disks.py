@@ -25,7 +25,7 @@ def done(forks, tmp_path_factory):
     place = tmp_path_factory.mktemp("done")
 
     def multicell(*words):
-        ended = forks.multicell(*words)
+        ended = forks.multicell(*words, load=True)
         return ended["code"], ended["text"]
 
     prepare(place, multicell)
@@ -59,9 +59,8 @@ def test_a_full_disk_ends_a_command_in_a_line_and_it_continues(
             if case is not None:
                 disk = mount(int(1.1 * held + random.Random(case).uniform(0.02, 1.0) * size) + 8)
             words = WRITING[name](at, disk / "out")
-            ended = forks.multicell(*words)
+            ended = forks.multicell(*words, load=case is None)
             if case is None:
-                assert ended["code"] == 0, ended["text"]
                 size = written(disk) / 1024.0 - held
                 continue
             said = [line for line in ended["text"].splitlines() if line.startswith("Error")]

@@ -24,12 +24,16 @@ PHASES = {k: {"duration": f"{h} h"} for k, h in (("G1", 12), ("S", 7), ("G2", 4)
 PHYSICS = {
     "friction": ("settle", {**TISSUE, "friction": {}}),
     "friction, explicit": ("settle", {**TISSUE, "friction": {}, "integrator": "rkc2"}),
-    "receptors": ("sorting-cams", {"duration": "15 min", "types.sticky.receptor": 3.0,
-                                   "types.sticky.ligand": 4.0, "initial.count": 150}),
-    "types": ("sorting", {"duration": "15 min", "initial.count": 150}),
+    # several parts in one scene: each alone would compile all that has to do with contacts anew
+    "receptors, types": (
+        "sorting-cams", {"duration": "15 min", "initial.count": 150, "cells.young_variation": 0.1,
+                         "types": {
+                             "sticky": {"receptor": 3.0, "ligand": 4.0, "surface_energy": {
+                                 "sticky": "0.2 nN/um", "plain": "0.1 nN/um"}},
+                             "plain": {"surface_energy": {
+                                 "sticky": "0.1 nN/um", "plain": "0.1 nN/um"}}}}),
     "phases": ("growth", {"initial.count": 150, "initial.stage": "uniform", "duration": "100 min",
                           "growth.phases": PHASES}),
-    # three parts in one scene: each alone would compile all that has to do with contacts anew
     "exact JKR, Brownian motion, space that repeats": (
         "settle", {**TISSUE, "contact.law": "exact-jkr", "motility": {"diffusion": "0.01 um^2/s"},
                    "domain": {axis: [-20, 20] for axis in "xyz"}

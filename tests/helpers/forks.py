@@ -83,13 +83,17 @@ class Forks:
         return json.loads(self._process.stdout.readline())
 
     def load(self, **task):
+        """Do a task in a child, and load what it has loaded for all others; return its answer."""
         with tempfile.NamedTemporaryFile("w+") as names:
             done = self.ask(loads=names.name, **task)
             assert done["code"] == 0, done["text"]
             assert self.ask(load=json.load(names))["code"] == 0
+        return done
 
-    def multicell(self, *arguments, **options):
-        return self.ask(arguments=[str(a) for a in arguments], **options)
+    def multicell(self, *arguments, load=False, **options):
+        """Do a command; ``load``: it must end well, and others find loaded what it needs."""
+        do = self.load if load else self.ask
+        return do(arguments=[str(a) for a in arguments], **options)
 
 
 def serve():
@@ -124,6 +128,7 @@ def _load(names):
     for name in names:
         with contextlib.suppress(ImportError):
             importlib.import_module(name)
+    gc.freeze()
     return 0
 
 

@@ -261,10 +261,10 @@ def special():
         "chemotaxis": {"guide": {"force": "0.2 nN", "half": "1e-3 mM/um"}},
         "domain": {axis: [-20.0, 20.0] for axis in "xyz"} | {"periodic": ["x", "y"]},
         "nutrients": {"guide": {
-            "diffusion": "50 um^2/s", "boundary": "0.1 mM", "spacing": "4 um", "uptake": 0,
+            "diffusion": "50 um^2/s", "boundary": "0.1 mM", "spacing": "5 um", "uptake": 0,
             "secretion": "5 amol/s", "regime": "steady",
         }, "drop": {
-            "diffusion": "0.5 um^2/s", "boundary": "0.1 mM", "spacing": "4 um",
+            "diffusion": "0.5 um^2/s", "boundary": "0.1 mM", "spacing": "5 um",
             "uptake": "2 amol/s", "initial_formula": "0.1 * step(x)",
             "release": {
                 "there": {"amount": "40 amol", "time": "90 s", "place": [3, 2, 1], "radius": 4.0},

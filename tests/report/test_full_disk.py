@@ -44,7 +44,7 @@ def test_a_full_disk_ends_no_process(name, sources, forks, small_disk, pytestcon
     way, kind = WRITERS[name]
     mount, unmount = small_disk
     stopped = 0
-    for case in range(pytestconfig.getoption("full_disks") + 3):
+    for case in range(pytestconfig.getoption("full_disks") + 1):
         share = random.Random(case).uniform(0.1, 1.2)
         folder = mount(max(8, int(share * size[name])))
         try:

@@ -46,8 +46,8 @@ def left_behind(scene):
 
 def collected(act):
     """Return the types of the package's objects that only the collector finds after three acts."""
-    gc.collect()
-    gc.freeze()  # what other tests have left alive takes a second to look through
+    # what other tests have left, alive or not, takes a second to look through
+    gc.freeze()
     gc.disable()
     try:
         gc.set_debug(gc.DEBUG_SAVEALL)

@@ -86,7 +86,7 @@ def test_one_flipped_bit_never_ends_a_table_and_is_mended_by_a_retry(study, whol
     right, name = ends(whole.to_xarray()), study.plan.names[0]
     path = study.folder / "runs" / name / "frames.h5"
     before, seen = path.read_bytes(), 0
-    for case in range(max(6, pytestconfig.getoption("damages"))):
+    for case in range(max(3, pytestconfig.getoption("damages"))):
         rng = random.Random(case)
         data = bytearray(before)
         data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
