@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 
 
 _NOTHING = np.empty((0, 0))
-_NO_BLOCKS = np.empty((0, 6))
+_NO_BLOCKS = _NO_PUSH = np.empty((0, 6))
+_NO_BONDS = np.empty((0, 4))
 
 
 @final
@@ -166,8 +167,8 @@ class Mechanics:
             self.neighbours.reference,
             motion.radius,
             motion.radius_rate,
-            motion.bonds,
-            motion.push,
+            _NO_BONDS if motion.bonds is None else motion.bonds,
+            _NO_PUSH if motion.push is None else motion.push,
         )
         self._linear = None
         self._watch: ContactWatch | None = None

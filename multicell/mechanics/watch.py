@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
-from multicell.compiling import KERNEL
+from multicell.compiling import INNER, KERNEL
 from multicell.mechanics.forces import forming_pairs, missed_contact, pairs_about_to_touch
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ _LEAST = 0.05  # room of a cell that hardly moves, in the largest radius
 _STEPS = 16.0  # room of others, over the way in a step
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _has_room(reference, room, before, after, slack):
     """Return whether no cell has used up its room, nor does so in a step, to and fro."""
     for i in range(room.size):
@@ -50,9 +50,9 @@ def _has_room(reference, room, before, after, slack):
 def _look(
     watched,
     known,
-    cells,
+    radius,
+    rate,
     pairs,
-    law,
     rows,
     before,
     after,
@@ -64,7 +64,7 @@ def _look(
     slack,
     tolerance,
 ):
-    """Return the part of a step to be taken, as :func:`.forces.missed_contact` does.
+    """Note the watched pairs that come into contact in a step; return how many.
 
     Also how many pairs are watched, of which ``known`` (-1: none yet) were before, and whether they
     were searched for anew.
@@ -82,8 +82,8 @@ def _look(
     forming = forming_pairs(
         places[:known],
         pairs,
-        cells.radius,
-        cells.radius_rate,
+        radius,
+        rate,
         before,
         after,
         speed,
@@ -94,23 +94,7 @@ def _look(
         tolerance,
         found,
     )
-    part = 1.0
-    if forming > 0:
-        part = missed_contact(
-            cells,
-            pairs,
-            law,
-            rows,
-            found[:forming],
-            before,
-            after,
-            speed,
-            end_speed,
-            elapsed,
-            dt,
-            tolerance,
-        )
-    return part, known, renewed
+    return forming, known, renewed
 
 
 class Watched(NamedTuple):
@@ -163,17 +147,23 @@ class ContactWatch:
         motion, dt = self._motion, end - begin
         # radii change, and gaps below the tolerance are looked at wherever cells go
         slack = motion.fastest_growth * (abs(begin - self._since) + dt) + 0.5 * tolerance
-        part, self._known, renewed = _look(
+        cells, data, law, rows = kernel
+        step = *path, begin - motion.begin, dt
+        forming, self._known, renewed = _look(
             self._watched,
             self._known,
-            *kernel,
-            *path,
-            begin - motion.begin,
-            dt,
+            cells.radius,
+            cells.radius_rate,
+            data,
+            rows,
+            *step,
             way,
             slack,
             tolerance,
         )
         if renewed:
             self._since = end
-        return float(part)
+        if forming == 0:
+            return 1.0
+        found = self._watched.found[:forming]
+        return float(missed_contact(cells, data, law, rows, found, *step, tolerance))
