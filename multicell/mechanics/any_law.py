@@ -17,6 +17,7 @@ from numba.extending import intrinsic
 from multicell.cells import FloatArray
 from multicell.compiling import ADDRESSED, called_at
 from multicell.mechanics import forces
+from multicell.mechanics.rows import RADIUS
 
 _typeof: Any = typeof
 
@@ -61,9 +62,20 @@ def velocities(kind, kernel, cells, pairs, values, position, elapsed, rows, out)
 
 @njit(**ADDRESSED)
 def missed_contact(kind, values, cells, pairs, rows, path, elapsed, dt, moved, tolerance):
-    """Do what :func:`.forces.missed_among_all` does."""
-    law = _law_of(kind, values)
-    return forces.missed_among_all(cells, pairs, law, rows, *path, elapsed, dt, moved, tolerance)
+    """Do what :func:`.forces.missed_contact` does, of all pairs; a cell moves ``moved`` radii."""
+    largest, growth = 0.0, 0.0
+    radius, rate = cells.radius, cells.radius_rate
+    for i in range(radius.size):
+        largest, growth = max(largest, rows[i, RADIUS]), max(growth, abs(rate[i]))
+    way = 2.0 * (moved * largest + growth * dt)
+    places, found = np.empty(pairs.first.size, np.int64), np.empty(pairs.first.size, np.int64)
+    room = np.full(radius.size, 0.5 * way)
+    near = places[: forces.pairs_about_to_touch(pairs, rows, elapsed, room, places)]
+    forming = forces.forming_pairs(
+        near, pairs, radius, rate, *path, elapsed, dt, way, tolerance, found
+    )
+    law, found = _law_of(kind, values), found[:forming]
+    return forces.missed_contact(cells, pairs, law, rows, found, *path, elapsed, dt, tolerance)
 
 
 _forces_at = called_at(8, lambda *_: types.boolean, frozen=3)

@@ -666,40 +666,6 @@ def missed_contact(
     return part
 
 
-@njit(**INNER)
-def missed_among_all(
-    cells, pairs, law, rows, before, after, speed, end_speed, elapsed, dt, moved, tolerance
-):
-    """Do what :func:`missed_contact` does with all pairs; cells move by ``moved`` of a radius."""
-    largest, growth = 0.0, 0.0
-    radius, rate = cells.radius, cells.radius_rate
-    for i in range(radius.size):
-        largest, growth = max(largest, rows[i, RADIUS]), max(growth, abs(rate[i]))
-    way = 2.0 * (moved * largest + growth * dt)
-    places = np.empty(pairs.first.size, dtype=np.int64)
-    count = pairs_about_to_touch(pairs, rows, elapsed, np.full(radius.size, 0.5 * way), places)
-    near, found = places[:count], np.empty(count, dtype=np.int64)
-    count = forming_pairs(
-        near,
-        pairs,
-        radius,
-        rate,
-        before,
-        after,
-        speed,
-        end_speed,
-        elapsed,
-        dt,
-        way,
-        tolerance,
-        found,
-    )
-    found = found[:count]
-    return missed_contact(
-        cells, pairs, law, rows, found, before, after, speed, end_speed, elapsed, dt, tolerance
-    )
-
-
 @njit(**INLINED)
 def _passage(pairs, p, radius, rate, before, after, speed, end_speed, elapsed, dt):
     """Return how two cells pass each other in a step.

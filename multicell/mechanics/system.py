@@ -141,11 +141,12 @@ class Mechanics:
         n = len(motion.radius)
         bonded = motion.bonds is not None
         width = 7 if bonded else 5
-        self._law = self.law.constants()._replace(
+        law = self.law.constants()._replace(
             adhesion_constant=self.law.adhesion,
-            bond_strength=float(self.bond_strength) if bonded else None,
+            bond_strength=self.bond_strength if bonded else None,
             medium_drag=self.drag,
         )
+        self._law = law._make(None if value is None else float(value) for value in law)
         self._rows = np.zeros((n, width))
         self._rows[:, COMPLIANCE] = compliance(motion.young, motion.poisson)
         largest = np.maximum(motion.radius, motion.end_radius)

@@ -47,29 +47,14 @@ def _has_room(reference, room, before, after, slack):
 
 
 @njit(**KERNEL)
-def _look(
-    watched,
-    known,
-    radius,
-    rate,
-    pairs,
-    rows,
-    before,
-    after,
-    speed,
-    end_speed,
-    elapsed,
-    dt,
-    way,
-    slack,
-    tolerance,
-):
+def _look(watched, known, radius, rate, pairs, rows, path, elapsed, dt, way, slack, tolerance):
     """Note the watched pairs that come into contact in a step; return how many.
 
     Also how many pairs are watched, of which ``known`` (-1: none yet) were before, and whether they
-    were searched for anew.
+    were searched for anew. The law is no argument: contacts form in few steps.
     """
     reference, room, places, found = watched.reference, watched.room, watched.places, watched.found
+    before, after = path[:2]
     renewed = known < 0 or not _has_room(reference, room, before, after, slack)
     if renewed:
         for i in range(room.size):
@@ -80,19 +65,7 @@ def _look(
             room[i] = max(watched.least, _STEPS * math.sqrt(square)) + 2.0 * slack
         known = pairs_about_to_touch(pairs, rows, elapsed, room, places)
     forming = forming_pairs(
-        places[:known],
-        pairs,
-        radius,
-        rate,
-        before,
-        after,
-        speed,
-        end_speed,
-        elapsed,
-        dt,
-        way,
-        tolerance,
-        found,
+        places[:known], pairs, radius, rate, *path, elapsed, dt, way, tolerance, found
     )
     return forming, known, renewed
 
@@ -147,8 +120,7 @@ class ContactWatch:
         motion, dt = self._motion, end - begin
         # radii change, and gaps below the tolerance are looked at wherever cells go
         slack = motion.fastest_growth * (abs(begin - self._since) + dt) + 0.5 * tolerance
-        cells, data, law, rows = kernel
-        step = *path, begin - motion.begin, dt
+        (cells, data, law, rows), step = kernel, (begin - motion.begin, dt)
         forming, self._known, renewed = _look(
             self._watched,
             self._known,
@@ -156,6 +128,7 @@ class ContactWatch:
             cells.radius_rate,
             data,
             rows,
+            path,
             *step,
             way,
             slack,
@@ -166,4 +139,4 @@ class ContactWatch:
         if forming == 0:
             return 1.0
         found = self._watched.found[:forming]
-        return float(missed_contact(cells, data, law, rows, found, *step, tolerance))
+        return float(missed_contact(cells, data, law, rows, found, *path, *step, tolerance))

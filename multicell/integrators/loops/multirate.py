@@ -236,30 +236,24 @@ def _take(part, velocity):
             part.velocity[k, a] = velocity[part.member[k], a]
 
 
+@register_jitable
 def _evaluate_part(source, part, elapsed):
     """Write the velocities of the fast cells; return whether a cell has left what the list allows.
 
     Compiled code alone has a part.
     """
-
-
-@overload(_evaluate_part)
-def _compiled_evaluate_part(source, part, elapsed):
-    def run(source, part, elapsed):
-        return velocities_at(
-            source.velocities_at,
-            None,
-            source.serial_at,
-            part.cells,
-            part.pairs,
-            source.law,
-            part.position,
-            elapsed,
-            part.rows,
-            part.velocity,
-        )
-
-    return run
+    return velocities_at(
+        source.velocities_at,
+        None,
+        source.serial_at,
+        part.cells,
+        part.pairs,
+        source.law,
+        part.position,
+        elapsed,
+        part.rows,
+        part.velocity,
+    )
 
 
 @register_jitable
