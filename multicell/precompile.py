@@ -176,8 +176,9 @@ def parts(system: Mechanics, position: FloatArray, method: AdaptiveAdams) -> dic
     from multicell.mechanics import forces
     from multicell.mechanics.any_law import law_values
 
-    (cells, law, *known), pairs, shared = system.kernel_data()
-    source = stepping.Source(cells, law_values(law), *known, counts=np.zeros(5, dtype=np.int64))
+    known, pairs, shared = system.kernel_data()
+    cells, law = known[:2]
+    source = stepping.Source(cells, law_values(law), *known[2:], np.zeros(5, np.int64))
     used = stepping.stepping_kernels(source, pairs, law, shared=shared, passes=True)
     rows, placed = source.rows, position.view()
     placed.flags.writeable = False  # as the forces have it

@@ -175,8 +175,10 @@ def source_of(
 
     - ``watched``, ``uses``: what the loop uses, see :func:`.stepping.with_addresses`
     """
-    (cells, law, *known), pairs, shared = system.kernel_data()
-    source = stepping.Source(cells, law_values(law), *known, counts)
+    known, pairs, shared = system.kernel_data()
+    source = stepping.Source(known[0], law_values(known[1]), *known[2:], counts)
     watched = watched and stepping.meets_driven(system)
-    source = stepping.with_addresses(source, pairs, law, shared=shared, watched=watched, **uses)
+    source = stepping.with_addresses(
+        source, pairs, known[1], shared=shared, watched=watched, **uses
+    )
     return source, pairs
