@@ -174,10 +174,12 @@ def parts(system: Mechanics, position: FloatArray, method: AdaptiveAdams) -> dic
     from multicell.integrators import driver, stepping
     from multicell.integrators.loops.adams_bashforth import adaptive_adams
     from multicell.mechanics import forces
+    from multicell.mechanics.any_law import law_values
 
     known, pairs, shared = system.kernel_data()
-    source = stepping.Source(*known, counts=np.zeros(5, dtype=np.int64))
-    used = stepping.stepping_kernels(source, pairs, shared=shared, passes=True)
+    cells, law = known[:2]
+    source = stepping.Source(cells, law_values(law), *known[2:], np.zeros(5, np.int64))
+    used = stepping.stepping_kernels(source, pairs, law, shared=shared, passes=True)
     rows, placed = source.rows, position.view()
     placed.flags.writeable = False  # as the forces have it
     report = stepping.Report(0, 0.0, 0.0, -1, 0.0), pairs
@@ -185,9 +187,10 @@ def parts(system: Mechanics, position: FloatArray, method: AdaptiveAdams) -> dic
     return {
         "lists": [used["rebuild_at"]],
         "forces": [
-            used["forces_at"],
-            (forces.pack, True, source.cells, placed, 0.0, rows),
-            (forces.half_virials, None, rows, pairs, source.law, 0.0, source.reach),
+            used["kernel_at"],
+            used["velocities_at"],
+            (forces.pack, True, cells, placed, 0.0, rows),
+            (forces.half_virials, None, rows, pairs, law, 0.0, source.reach),
         ],
         "loop": [
             (

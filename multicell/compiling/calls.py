@@ -29,7 +29,9 @@ def kind_of(value: Any) -> Any:
     kind = type(value)
     if kind is np.ndarray or isinstance(value, np.ndarray):
         return value.dtype.char, value.ndim, value.flags.num & ~_OWNED
-    return (kind, *map(kind_of, value)) if isinstance(value, tuple) else kind
+    if isinstance(value, tuple):
+        return (kind, *map(kind_of, value))
+    return value if isinstance(value, types.Type) else kind
 
 
 _ADDRESSES: dict[Any, int] = {}

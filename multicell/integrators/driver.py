@@ -26,6 +26,7 @@ from multicell.integrators import base, stepping
 from multicell.integrators.base import Outcome
 from multicell.integrators.limits import find_failure, norm_share
 from multicell.mechanics import forces
+from multicell.mechanics.any_law import law_values
 from multicell.mechanics.system import Mechanics
 
 if TYPE_CHECKING:
@@ -83,14 +84,9 @@ def adaptive(
     loop: Any,
     control: stepping.Control,
     *settings: Any,
-    passes: bool = False,
-    watched: bool = False,
+    **uses: bool,
 ) -> Outcome:
-    """Run a loop under error control.
-
-    ``passes`` says whether it uses those of :mod:`.fused`, ``watched`` whether it looks for
-    contacts that its steps miss.
-    """
+    """Run a loop under error control; ``uses`` are those of :func:`source_of`."""
     return _run(
         system,
         position,
@@ -99,8 +95,7 @@ def adaptive(
         control.max_displacement,
         _TOLERANCE_HINT,
         control.atol,
-        passes=passes,
-        watched=watched,
+        **uses,
     )
 
 
@@ -112,9 +107,7 @@ def _run(
     max_displacement: float,
     hint: str,
     atol: float,
-    *,
-    passes: bool = False,
-    watched: bool = False,
+    **uses: bool,
 ) -> Outcome:
     """Run a loop on a copy of the positions; count its work; put its end into words."""
     motion = system.motion
@@ -131,7 +124,7 @@ def _run(
         source: Any = stepping.Called(system)
         report, _ = loop.py_func(source, None, *common, *settings)
     else:
-        source, pairs = source_of(system, counts, passes=passes, watched=watched)
+        source, pairs = source_of(system, counts, **uses)
         report, pairs = loop(source, pairs, *common, *settings)
         system.take_list(pairs)
     work = system.work
@@ -176,11 +169,16 @@ def _failure(
 
 
 def source_of(
-    system: Mechanics, counts: Any, *, passes: bool = False, watched: bool = False
+    system: Mechanics, counts: Any, *, watched: bool = False, **uses: bool
 ) -> tuple[stepping.Source, forces.PairData]:
-    """Return the arguments of a loop, with a neighbour list of its own."""
+    """Return the arguments of a loop, with a neighbour list of its own.
+
+    - ``watched``, ``uses``: what the loop uses, see :func:`.stepping.with_addresses`
+    """
     known, pairs, shared = system.kernel_data()
-    source = stepping.Source(*known, counts)
+    source = stepping.Source(known[0], law_values(known[1]), *known[2:], counts)
     watched = watched and stepping.meets_driven(system)
-    source = stepping.with_addresses(source, pairs, shared=shared, passes=passes, watched=watched)
+    source = stepping.with_addresses(
+        source, pairs, known[1], shared=shared, watched=watched, **uses
+    )
     return source, pairs

@@ -258,7 +258,7 @@ class MultirateEuler(ErrorControl):
         from multicell.integrators.loops.multirate import adaptive_multirate
 
         control = driver.control(self, system, 2.0, lower=1)
-        return driver.adaptive(system, position, adaptive_multirate, control)
+        return driver.adaptive(system, position, adaptive_multirate, control, parts=True)
 
 
 METHODS = (Euler, AdaptiveEuler, Heun, RungeKutta4, AdaptiveRungeKutta4, Dopri5, MultirateEuler)

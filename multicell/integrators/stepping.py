@@ -33,7 +33,7 @@ from multicell.compiling import (
     kind_of,
 )
 from multicell.integrators import fused
-from multicell.mechanics import forces
+from multicell.mechanics import any_law, forces
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.neighbours import updating
 from multicell.mechanics.system import Mechanics
@@ -56,19 +56,23 @@ _BLOCK = 1024  # numbers of an array that are worked on at a time
 class Source(NamedTuple):
     """Arguments of the kernels besides the pairs; ``cells.reference``, ``.margin`` are written.
 
-    ``forces_at``, ``rebuild_at`` and ``repair_at`` (0: lists are not repaired) are the addresses of
-    the kernels, for one thread or for all, ``evaluation_at`` that of the function that calls them.
-    ``missed_at`` is that of :func:`.forces.missed_among_all`, 0 where no contact can be missed.
-    ``foresee_at`` and ``assess_at`` are those of :mod:`.fused`, for loops that use it.
+    ``law`` are the values of its constants. ``kernel_at`` (the forces), ``rebuild_at`` and
+    ``repair_at`` (0: lists are not repaired) are the addresses of the kernels, for one thread or
+    for all, ``serial_at`` that of the forces for one. ``velocities_at`` and ``missed_at`` (0: no
+    contact can be missed) are those of :mod:`multicell.mechanics.any_law`, ``evaluation_at`` that
+    of the function that calls kernels. ``foresee_at`` and ``assess_at`` are those of :mod:`.fused`,
+    for loops that use it.
     """
 
     cells: forces.CellData
-    law: Any
+    law: FloatArray
     reach: FloatArray
     least_margin: float
     rows: FloatArray
     counts: NDArray[np.int64]
-    forces_at: int = 0
+    velocities_at: int = 0
+    kernel_at: int = 0
+    serial_at: int = 0
     rebuild_at: int = 0
     repair_at: int = 0
     evaluation_at: int = 0
@@ -169,16 +173,14 @@ def _compiled_part(source, pairs, before, after, slope, end_slope, elapsed, dt, 
     def run(source, pairs, before, after, slope, end_slope, elapsed, dt, moved, tolerance):
         if source.missed_at == 0:
             return 1.0
-        return _missed_at(
+        return any_law.missed_contact_at(
             source.missed_at,
+            None,
+            source.law,
             source.cells,
             pairs,
-            source.law,
             source.rows,
-            before,
-            after,
-            slope,
-            end_slope,
+            (before, after, slope, end_slope),
             float(elapsed),
             float(dt),
             float(moved),
@@ -197,14 +199,15 @@ def _evaluation(source, pairs, elapsed, position, out):
     """Do the work of :func:`evaluate` in compiled code."""
     source.counts[EVALUATIONS] += 1
     cells = source.cells
-    while _forces_at(
-        source.forces_at,
+    while any_law.velocities_at(
+        source.velocities_at,
+        None,
+        source.kernel_at,
         cells,
         pairs,
         source.law,
         position,
         elapsed,
-        True,
         source.rows,
         out,
     ):
@@ -230,8 +233,6 @@ def _evaluation(source, pairs, elapsed, position, out):
     return DONE, pairs
 
 
-_forces_at = called_at(8, lambda *_: types.boolean, frozen=3)
-_missed_at = called_at(12, lambda *_: types.float64)
 # the evaluation would be compiled into a loop at every call
 _evaluate_at = called_at(5, lambda _, source, pairs, *__: types.Tuple((types.intp, pairs)))
 
@@ -239,44 +240,31 @@ _evaluate_at = called_at(5, lambda _, source, pairs, *__: types.Tuple((types.int
 def with_addresses(
     source: Source,
     pairs: forces.PairData,
+    law: Any,
     *,
     shared: bool,
     passes: bool = False,
+    parts: bool = False,
     watched: bool = False,
 ) -> Source:
     """Return a source with the addresses of its kernels, which are compiled if need be.
 
+    - ``law``: the constants whose values it has
     - ``shared``: whether threads share them
     - ``passes``: whether the loop uses :mod:`.fused`
+    - ``parts``: whether it evaluates a part of the cells
     - ``watched``: whether it looks for contacts that its steps miss
     """
-    key = (
-        kind_of((source, pairs)),
-        shared,
-        passes,
-        watched,
-        len(source.reach) >= updating.REPAIR_FROM,
-    )
+    repairs = len(source.reach) >= updating.REPAIR_FROM
+    key = kind_of((source, pairs, law)), shared, passes, parts, watched, repairs
     if key not in _PLACES:
-        used = stepping_kernels(source, pairs, shared=shared, passes=passes)
+        used = stepping_kernels(source, pairs, law, shared=shared, passes=passes)
+        if parts:
+            used["serial_at"] = (forces.forces, *used["kernel_at"][1:])
         if watched:
-            at = np.empty((0, 3))
-            used["missed_at"] = (
-                forces.missed_among_all,
-                0.0,
-                source.cells,
-                pairs,
-                source.law,
-                source.rows,
-                at,
-                at,
-                at,
-                at,
-                0.0,
-                0.0,
-                0.0,
-                0.0,
-            )
+            path = (np.empty((0, 3)),) * 4
+            known = any_law.law_type(law), source.law, source.cells, pairs, source.rows, path
+            used["missed_at"] = (any_law.missed_contact, 0.0, *known, 0.0, 0.0, 0.0, 0.0)
         _PLACES[key] = {name: address_of(*kernel) for name, kernel in used.items()}
     return source._replace(**_PLACES[key])
 
@@ -285,32 +273,33 @@ _PLACES: dict[Any, dict[str, Any]] = {}
 
 
 def stepping_kernels(
-    source: Source, pairs: forces.PairData, *, shared: bool, passes: bool
+    source: Source, pairs: forces.PairData, law: Any, *, shared: bool, passes: bool
 ) -> dict[str, tuple[Any, ...]]:
     """Return the kernels as :func:`address_of` takes them, by their names in :class:`Source`."""
     place, seen = np.empty((2, 0, 3))
     seen.flags.writeable = False
     run = forces.forces_parallel if shared else forces.forces
+    cells, rows, kind = source.cells, source.rows, any_law.law_type(law)
     known: dict[str, tuple[Any, ...]] = {
-        "forces_at": (
-            run,
+        "kernel_at": (run, True, cells, pairs, law, seen, 0.0, True, rows, place),
+        "velocities_at": (
+            any_law.velocities,
             True,
-            source.cells,
+            kind,
+            0,
+            cells,
             pairs,
             source.law,
-            seen,
+            place,
             0.0,
-            True,
-            source.rows,
+            rows,
             place,
         ),
         "evaluation_at": (_EVALUATION, (0, pairs), source, pairs, 0.0, place, place),
     }
-    known |= updating.kernel_calls(
-        place, source.reach, source.cells.chunk, pairs[:5], shared=shared
-    )
+    known |= updating.kernel_calls(place, source.reach, cells.chunk, pairs[:5], shared=shared)
     if passes:
-        known |= fused.fused_kernels(source.cells.radius, shared=shared)
+        known |= fused.fused_kernels(cells.radius, shared=shared)
     return known
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numba import njit
 
-from multicell.compiling import INLINED, KERNEL
+from multicell.compiling import INLINED, INNER, KERNEL
 from multicell.mechanics.rows import RADIUS
 
 XX, YY, ZZ, XY, XZ, YZ = range(6)  # columns of symmetric matrices, one a row
@@ -42,7 +42,7 @@ def diagonal_blocks(pairs, normal, along, across, out):
                 add_block(out, i, k, t, nx, ny, nz)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def invert_by_pivots(a, b, c, f, g, h, least, out):
     """Write the inverse of a symmetric matrix whose eigenvalues are ``least`` or more.
 

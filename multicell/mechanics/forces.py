@@ -12,9 +12,9 @@ gather into small arrays, evaluate the law there (which the compiler turns into 
 scatter. Gather and scatter take four pairs at a time (:class:`_Quads`). Every chunk writes to its
 own cells only, so that the serial and the parallel drivers give the same bits.
 
-``law`` are the constants of a pair law, see :mod:`multicell.contact.constants`. Absent parts of a
-scene are None (receptors, external forces, values of each pair's own): compiled code is specialised
-on that, and holds nothing of them.
+``law`` are the constants of a pair law, see :mod:`multicell.contact.constants`. What costs work for
+each pair and is absent from a scene is None (receptors, values of each pair's own): compiled code
+is specialised on that, and holds nothing of it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from numba import njit, prange, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from multicell.compiling import ADDRESSED, INLINED, INNER, KERNEL
+from multicell.compiling import INLINED, INNER, KERNEL, arithmetic
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.pairs import evaluate_pair
 from multicell.mechanics.rows import COMPLIANCE, LIGAND, RADIUS, RECEPTOR, SHORTEST
@@ -44,7 +44,8 @@ class CellData(NamedTuple):
 
     ``reference`` are the positions that the list was built at, ``margin`` how far each cell may
     drift from there, µm. ``bonds`` is (n, 4) with receptor, ligand and their rates, ``push`` (n, 6)
-    with an external force and its rate, nN and nN/s; None where absent.
+    with an external force and its rate, nN and nN/s; both without rows where absent, so that
+    compiled code is the same with and without.
     """
 
     chunk: int
@@ -52,8 +53,8 @@ class CellData(NamedTuple):
     reference: NDArray[np.float64]
     radius: NDArray[np.float64]
     radius_rate: NDArray[np.float64]
-    bonds: NDArray[np.float64] | None
-    push: NDArray[np.float64] | None
+    bonds: NDArray[np.float64]
+    push: NDArray[np.float64]
 
 
 class PairData(NamedTuple):
@@ -143,17 +144,11 @@ def _pack_chunk(c, cells, position, elapsed, rows):
         y -= cells.reference[i, 1]
         z -= cells.reference[i, 2]
         drifted |= not (x * x + y * y + z * z <= cells.margin[i] * cells.margin[i])
-    _pack_bonds(cells.bonds, begin, end, elapsed, rows)
+    for i in range(begin, min(end, cells.bonds.shape[0])):
+        bonds = cells.bonds[i]
+        rows[i, RECEPTOR] = bonds[_RECEPTOR] + bonds[_RECEPTOR_RATE] * elapsed
+        rows[i, LIGAND] = bonds[_LIGAND] + bonds[_LIGAND_RATE] * elapsed
     return drifted
-
-
-@njit(**INNER)
-def _pack_bonds(bonds, begin, end, elapsed, rows):
-    if bonds is None:
-        return
-    for i in range(begin, end):
-        rows[i, RECEPTOR] = bonds[i, _RECEPTOR] + bonds[i, _RECEPTOR_RATE] * elapsed
-        rows[i, LIGAND] = bonds[i, _LIGAND] + bonds[i, _LIGAND_RATE] * elapsed
 
 
 @final
@@ -395,14 +390,6 @@ def _scatter(pairs, begin, count, low, inner, block, out):
             out[j, 2] += fz
 
 
-@njit(**INLINED)
-def _pushed(push, i, axis, elapsed, force):
-    """Return a force together with the external one."""
-    if push is None:
-        return force
-    return force + (push[i, axis] + push[i, 3 + axis] * elapsed)
-
-
 @njit(**INNER)
 def _force_chunk(c, cells, rows, pairs, law, elapsed, stokes, out):
     """Write what :func:`forces` does for the cells of one chunk.
@@ -427,11 +414,14 @@ def _force_chunk(c, cells, rows, pairs, law, elapsed, stokes, out):
             _gather(rows, pairs, law.bond_strength, begin, count, block)
             _evaluate(pairs, law, elapsed, begin, count, block, None)
             _scatter(pairs, begin, count, low, side == 0, block, sums)
+    for i in range(low, min(high, cells.push.shape[0])):
+        for axis in range(3):
+            sums[i - low, axis] += cells.push[i, axis] + cells.push[i, 3 + axis] * elapsed
     for i in range(low, high):
         # Stokes
         mobility = 1.0 / (law.medium_drag * rows[i, RADIUS]) if stokes else 1.0
         for axis in range(3):
-            out[i, axis] = _pushed(cells.push, i, axis, elapsed, sums[i - low, axis]) * mobility
+            out[i, axis] = sums[i - low, axis] * mobility
 
 
 @njit(**KERNEL)
@@ -594,7 +584,7 @@ def _approach(place, speed, i, j, growth, period):
     return d, growth - along / d
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def pairs_about_to_touch(pairs, rows, elapsed, room, places):
     """Note the places of pairs whose gap or overlap is below the sum of the two ``room``, µm.
 
@@ -616,7 +606,7 @@ def pairs_about_to_touch(pairs, rows, elapsed, room, places):
     return count
 
 
-@njit(**KERNEL)
+@arithmetic
 def forming_pairs(
     places, pairs, radius, rate, before, after, speed, end_speed, elapsed, dt, way, tolerance, found
 ):
@@ -655,7 +645,7 @@ def forming_pairs(
     return count
 
 
-@njit(**KERNEL)
+@arithmetic
 def missed_contact(
     cells, pairs, law, rows, places, before, after, speed, end_speed, elapsed, dt, tolerance
 ):
@@ -674,40 +664,6 @@ def missed_contact(
         )
         part = min(part, taken)
     return part
-
-
-@njit(**ADDRESSED)
-def missed_among_all(
-    cells, pairs, law, rows, before, after, speed, end_speed, elapsed, dt, moved, tolerance
-):
-    """Do what :func:`missed_contact` does with all pairs; cells move by ``moved`` of a radius."""
-    largest, growth = 0.0, 0.0
-    radius, rate = cells.radius, cells.radius_rate
-    for i in range(radius.size):
-        largest, growth = max(largest, rows[i, RADIUS]), max(growth, abs(rate[i]))
-    way = 2.0 * (moved * largest + growth * dt)
-    places = np.empty(pairs.first.size, dtype=np.int64)
-    count = pairs_about_to_touch(pairs, rows, elapsed, np.full(radius.size, 0.5 * way), places)
-    near, found = places[:count], np.empty(count, dtype=np.int64)
-    count = forming_pairs(
-        near,
-        pairs,
-        radius,
-        rate,
-        before,
-        after,
-        speed,
-        end_speed,
-        elapsed,
-        dt,
-        way,
-        tolerance,
-        found,
-    )
-    found = found[:count]
-    return missed_contact(
-        cells, pairs, law, rows, found, before, after, speed, end_speed, elapsed, dt, tolerance
-    )
 
 
 @njit(**INLINED)

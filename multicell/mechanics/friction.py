@@ -29,7 +29,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from multicell.compiling import KERNEL
+from multicell.compiling import INNER, KERNEL
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.forces import nearest_image
 from multicell.mechanics.motion import StateRejected
@@ -82,7 +82,7 @@ class Vectors(NamedTuple):
     s: FloatArray
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _touching(begin, end, at, rows, first, second, period, normal, tangential, near, link):
     """Append the touching pairs of ``begin:end`` at place ``at``; return the next place.
 
@@ -113,7 +113,7 @@ def _touching(begin, end, at, rows, first, second, period, normal, tangential, n
     return at
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _measure_chunk(
     c, gamma, first, second, inner_end, outer_end, period, rows, normal, tangential, drag
 ):
@@ -142,7 +142,7 @@ def _measure_chunk(
         inverse[i] = 1.0 / inverse[i]
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _pair_sums(begin, end, inner, sign, near, link, v, out):
     """Add Σ_j B_ij (v_i - v_j) of the pairs ``begin:end``; to both cells of ``inner`` pairs."""
     p = begin
@@ -175,7 +175,7 @@ def _pair_sums(begin, end, inner, sign, near, link, v, out):
         out[i, 2] += sz
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _clear_held(held, low, high, out):
     """Clear the rows of the held cells of one chunk."""
     if held is None:
@@ -185,7 +185,7 @@ def _clear_held(held, low, high, out):
             out[i, 0] = out[i, 1] = out[i, 2] = 0.0
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _apply_chunk(c, gamma, v, out):
     """Write Γ v for the cells of one chunk; return their share of v · Γ v."""
     low, high = c * gamma.chunk, min((c + 1) * gamma.chunk, v.shape[0])
@@ -206,7 +206,7 @@ def _apply_chunk(c, gamma, v, out):
     return tx + ty + tz
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _begin_chunk(c, gamma, force, work, part):
     """Start from x, with ``w`` = Γ x: r = F - Γ x, u = M⁻¹ r; store r·u, r·r, F·F."""
     r, u, w, p, s = work
@@ -223,7 +223,7 @@ def _begin_chunk(c, gamma, force, work, part):
     part[c, 0], part[c, 1], part[c, 2] = ru, rr, ff
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _advance_chunk(c, gamma, alpha, beta, work, x, part):
     """Take one step in one chunk; store r·u and r·r.
 
@@ -248,7 +248,7 @@ def _advance_chunk(c, gamma, alpha, beta, work, x, part):
     part[c, 0], part[c, 1] = ax + ay + az, bx + by + bz
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _sum(part, k):
     """Add the chunks' parts in their order: the same bits for any number of threads."""
     total = 0.0

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 from numba import njit, prange
 
-from multicell.compiling import KERNEL
+from multicell.compiling import INNER
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.blocks import (
     NEARLY_SINGULAR,
@@ -47,14 +47,14 @@ _FLAT = 1.0 / NEARLY_SINGULAR**2
 """Determinant over the product of the diagonal below which cofactors are rounding."""
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _link(p, gamma, along, across):
     """Return w and s of a pair with P = w n nᵀ + s I, both zero where it does not touch."""
     s = gamma * max(-across[p], 0.0)
     return gamma * max(along[p] - across[p], 0.0) - s, s
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _collect_chunk(
     c,
     chunk,
@@ -116,7 +116,7 @@ def _collect_chunk(
         begin[i, 1] = at + 1
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _invert(blocks, i):
     """Replace a symmetric 3 x 3 block by its inverse."""
     a, b, c = blocks[i, XX], blocks[i, YY], blocks[i, ZZ]
@@ -180,7 +180,7 @@ def _factor(
             _invert(blocks, i)
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _sweep_chunk(c, chunk, rows, drag, begin, near, link, blocks, vector, out):
     """Solve (D + L) D⁻¹ (D + U) x = Γ b for the cells of one chunk."""
     low, high = c * chunk, min((c + 1) * chunk, rows.shape[0])

@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 
 
 _NOTHING = np.empty((0, 0))
-_NO_BLOCKS = np.empty((0, 6))
+_NO_BLOCKS = _NO_PUSH = np.empty((0, 6))
+_NO_BONDS = np.empty((0, 4))
 
 
 @final
@@ -140,11 +141,12 @@ class Mechanics:
         n = len(motion.radius)
         bonded = motion.bonds is not None
         width = 7 if bonded else 5
-        self._law = self.law.constants()._replace(
+        law = self.law.constants()._replace(
             adhesion_constant=self.law.adhesion,
-            bond_strength=float(self.bond_strength) if bonded else None,
+            bond_strength=self.bond_strength if bonded else None,
             medium_drag=self.drag,
         )
+        self._law = law._make(None if value is None else float(value) for value in law)
         self._rows = np.zeros((n, width))
         self._rows[:, COMPLIANCE] = compliance(motion.young, motion.poisson)
         largest = np.maximum(motion.radius, motion.end_radius)
@@ -166,8 +168,8 @@ class Mechanics:
             self.neighbours.reference,
             motion.radius,
             motion.radius_rate,
-            motion.bonds,
-            motion.push,
+            _NO_BONDS if motion.bonds is None else motion.bonds,
+            _NO_PUSH if motion.push is None else motion.push,
         )
         self._linear = None
         self._watch: ContactWatch | None = None

@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
-from multicell.compiling import KERNEL
+from multicell.compiling import INNER, KERNEL
 from multicell.mechanics.forces import forming_pairs, missed_contact, pairs_about_to_touch
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ _LEAST = 0.05  # room of a cell that hardly moves, in the largest radius
 _STEPS = 16.0  # room of others, over the way in a step
 
 
-@njit(**KERNEL)
+@njit(**INNER)
 def _has_room(reference, room, before, after, slack):
     """Return whether no cell has used up its room, nor does so in a step, to and fro."""
     for i in range(room.size):
@@ -47,29 +47,14 @@ def _has_room(reference, room, before, after, slack):
 
 
 @njit(**KERNEL)
-def _look(
-    watched,
-    known,
-    cells,
-    pairs,
-    law,
-    rows,
-    before,
-    after,
-    speed,
-    end_speed,
-    elapsed,
-    dt,
-    way,
-    slack,
-    tolerance,
-):
-    """Return the part of a step to be taken, as :func:`.forces.missed_contact` does.
+def _look(watched, known, radius, rate, pairs, rows, path, elapsed, dt, way, slack, tolerance):
+    """Note the watched pairs that come into contact in a step; return how many.
 
     Also how many pairs are watched, of which ``known`` (-1: none yet) were before, and whether they
-    were searched for anew.
+    were searched for anew. The law is no argument: contacts form in few steps.
     """
     reference, room, places, found = watched.reference, watched.room, watched.places, watched.found
+    before, after = path[:2]
     renewed = known < 0 or not _has_room(reference, room, before, after, slack)
     if renewed:
         for i in range(room.size):
@@ -80,37 +65,9 @@ def _look(
             room[i] = max(watched.least, _STEPS * math.sqrt(square)) + 2.0 * slack
         known = pairs_about_to_touch(pairs, rows, elapsed, room, places)
     forming = forming_pairs(
-        places[:known],
-        pairs,
-        cells.radius,
-        cells.radius_rate,
-        before,
-        after,
-        speed,
-        end_speed,
-        elapsed,
-        dt,
-        way,
-        tolerance,
-        found,
+        places[:known], pairs, radius, rate, *path, elapsed, dt, way, tolerance, found
     )
-    part = 1.0
-    if forming > 0:
-        part = missed_contact(
-            cells,
-            pairs,
-            law,
-            rows,
-            found[:forming],
-            before,
-            after,
-            speed,
-            end_speed,
-            elapsed,
-            dt,
-            tolerance,
-        )
-    return part, known, renewed
+    return forming, known, renewed
 
 
 class Watched(NamedTuple):
@@ -163,17 +120,23 @@ class ContactWatch:
         motion, dt = self._motion, end - begin
         # radii change, and gaps below the tolerance are looked at wherever cells go
         slack = motion.fastest_growth * (abs(begin - self._since) + dt) + 0.5 * tolerance
-        part, self._known, renewed = _look(
+        (cells, data, law, rows), step = kernel, (begin - motion.begin, dt)
+        forming, self._known, renewed = _look(
             self._watched,
             self._known,
-            *kernel,
-            *path,
-            begin - motion.begin,
-            dt,
+            cells.radius,
+            cells.radius_rate,
+            data,
+            rows,
+            path,
+            *step,
             way,
             slack,
             tolerance,
         )
         if renewed:
             self._since = end
-        return float(part)
+        if forming == 0:
+            return 1.0
+        found = self._watched.found[:forming]
+        return float(missed_contact(cells, data, law, rows, found, *path, *step, tolerance))

@@ -69,9 +69,9 @@ class Watch:
             self.shared += answer
             return answer
 
-        def lent(source, pairs, *, shared, **rest):
+        def lent(*known, shared, **rest):
             self.shared += shared
-            return addressed(source, pairs, shared=shared, **rest)
+            return addressed(*known, shared=shared, **rest)
 
         Mechanics._shared, loops.with_addresses = watched, lent
 

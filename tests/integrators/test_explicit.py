@@ -17,6 +17,7 @@ from multicell.integrators.adams_bashforth import AdamsBashforth2, AdaptiveAdams
 from multicell.integrators.auto import Auto
 from multicell.integrators.cvode import Cvode, CvodeAdams
 from multicell.integrators.loops.chebyshev import coefficients, stable_length
+from multicell.integrators.loops.runge_kutta import fixed_runge_kutta
 from multicell.integrators.rkc import Rkc2
 from multicell.integrators.rosenbrock import Rosenbrock
 from multicell.integrators.runge_kutta import AdaptiveEuler, Dopri5, Euler, Heun, RungeKutta4
@@ -103,6 +104,27 @@ def test_compiled_and_python_paths_agree(method, monkeypatch):
     np.testing.assert_allclose(there.position, here.position, rtol=0, atol=1e-11)
     assert compiled.work == python.work
     assert compiled.work.list_builds > 1
+
+
+@pytest.mark.slow
+def test_a_loop_is_compiled_once_for_all_laws_bonds_and_forces(monkeypatch):
+    position, radius, young = cluster(30, 6, spacing=0.75)
+    rng, rate, half = np.random.default_rng(3), np.full(30, 1e-3), np.full(30, 0.5)
+    bonds, push = rng.uniform(0.0, 1.0, (30, 4)), rng.normal(0.0, 0.1, (30, 6))
+    all_ends = []
+    for law, *parts in ((JKR(surface_energy=0.1), None, push), (Hertz(), bonds, push)):
+        ends = []
+        for in_python in (False, True):
+            monkeypatch.setattr(explicit, "needs_python", lambda system, answer=in_python: answer)
+            system = Mechanics(law, 5.0, bond_strength=0.01)
+            system.begin(Motion(radius, rate, young, half, 0.0, 20.0, *parts))
+            outcome = Euler(0.5).integrate(system, position)
+            assert outcome.done, outcome
+            ends.append(outcome.position)
+        np.testing.assert_allclose(*ends, rtol=0, atol=1e-11)
+        all_ends.append(ends[0])
+    assert np.abs(all_ends[1] - all_ends[0]).max() > 0.01
+    assert len(fixed_runge_kutta.signatures) == len(loops._EVALUATION.signatures) == 1
 
 
 def systems_that_need_python():

@@ -26,10 +26,7 @@ def velocities_of_a_part(source, pairs, is_fast, position, elapsed):
     """Return the velocities of the fast cells, from their pairs only."""
     part = multirate._part(source, pairs, is_fast)
     part.position[:] = position[part.member]
-    drifted = multirate.forces.forces(
-        part.cells, part.pairs, source.law, part.position, elapsed, True, part.rows,
-        part.velocity,
-    )  # fmt: skip
+    drifted = multirate._evaluate_part(source, part, elapsed)
     return drifted, part.member[: part.fast], part.velocity[: part.fast], part.share
 
 
@@ -53,7 +50,7 @@ def test_velocities_of_a_part_are_those_of_the_whole(fast, chunk):
     system = everything(80, position, radius, young, chunk)
     whole, counts = np.empty_like(position), np.zeros(5, np.int64)
     system.velocity(30.0, position, whole)
-    source, pairs = driver.source_of(system, counts)
+    source, pairs = driver.source_of(system, counts, parts=True)
     is_fast = np.random.default_rng(1).uniform(size=80) < fast
     drifted, member, found, share = velocities_of_a_part(source, pairs, is_fast, position, 30.0)
     assert not drifted

@@ -45,6 +45,7 @@ from multicell.integrators.stepping import (
     stop_reason,
 )
 from multicell.mechanics import forces
+from multicell.mechanics.any_law import velocities_at
 
 _MOST_SHORT_STEPS = 16  # short steps of the fast cells in a long one
 _OCTAVES = 24  # bounds between fast and slow cells that are tried, each half of the one before
@@ -153,18 +154,12 @@ def _fast_pairs(is_fast, pairs, place, both, one):
 
 @arithmetic
 def _rows_of(values, member):
-    out = np.empty((member.size, values.shape[1]))
-    for k in range(member.size):
+    # none of none
+    out = np.empty((min(member.size, values.shape[0]), values.shape[1]))
+    for k in range(out.shape[0]):
         for a in range(values.shape[1]):
             out[k, a] = values[member[k], a]
     return out
-
-
-@arithmetic
-def _rows_if_any(values, member):
-    if values is None:
-        return None
-    return _rows_of(values, member)
 
 
 @arithmetic
@@ -191,8 +186,8 @@ def _compiled_part(source, pairs, is_fast):
             _rows_of(source.cells.reference, member),
             _entries_of(source.cells.radius, member),
             _entries_of(source.cells.radius_rate, member),
-            _rows_if_any(source.cells.bonds, member),
-            _rows_if_any(source.cells.push, member),
+            _rows_of(source.cells.bonds, member),
+            _rows_of(source.cells.push, member),
         )
         return FastPart(
             member,
@@ -242,6 +237,26 @@ def _take(part, velocity):
 
 
 @register_jitable
+def _evaluate_part(source, part, elapsed):
+    """Write the velocities of the fast cells; return whether a cell has left what the list allows.
+
+    Compiled code alone has a part.
+    """
+    return velocities_at(
+        source.velocities_at,
+        None,
+        source.serial_at,
+        part.cells,
+        part.pairs,
+        source.law,
+        part.position,
+        elapsed,
+        part.rows,
+        part.velocity,
+    )
+
+
+@register_jitable
 def _short_steps(source, pairs, part, is_fast, position, slope, elapsed, dt, ratio, trial, new):
     """Carry all cells over a step, the fast ones in ``ratio`` short steps, to ``trial``.
 
@@ -257,17 +272,8 @@ def _short_steps(source, pairs, part, is_fast, position, slope, elapsed, dt, rat
             break
         spent += part.share
         at = elapsed + (k + 1) * short
-        if forces.forces(
-            part.cells,
-            part.pairs,
-            source.law,
-            part.position,
-            at,
-            True,
-            part.rows,
-            part.velocity,
-        ):
-            # a cell has left what the list allows: build it where all cells are now
+        if _evaluate_part(source, part, at):
+            # build the list where all cells are now
             whole = trial.copy()
             _finish(is_fast, (k + 1) * short, slope, whole)
             status, pairs = evaluate(source, pairs, at, whole, new)

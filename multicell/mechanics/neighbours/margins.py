@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from multicell.compiling import INLINED, KERNEL
+from multicell.compiling import INLINED, arithmetic
 
 WIDEST = 8.0  # largest margin of a cell over the least
 _FORESIGHT = 6.0  # how many times as far as since the last list a cell may move until the next one
@@ -19,7 +19,7 @@ def next_margin(square, least, margin):
     return max(least, min(max(_FORESIGHT * math.sqrt(square), 0.5 * margin), WIDEST * least))
 
 
-@njit(**KERNEL)
+@arithmetic
 def widened(position, reference, reach, least, margin):
     """Adapt the margins of the cells to how they move, and note where they are.
 

@@ -18,7 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
-from multicell.compiling import KERNEL
+from multicell.compiling import INNER, KERNEL
 from multicell.errors import OutputError
 from multicell.population.extents import centre
 from multicell.report.plots.colouring import Colouring
@@ -187,7 +187,7 @@ def _draw(
                 picture[row, column, 3] = 255
 
 
-@njit(**KERNEL)  # type: ignore[untyped-decorator]
+@njit(**INNER)  # type: ignore[untyped-decorator]
 def _way_out(planes: Any, x: float, y: float, z: float) -> tuple[float, int]:
     """Return how far below a point, away from the eye, the cut ends, and at which of its faces.
 
@@ -205,7 +205,7 @@ def _way_out(planes: Any, x: float, y: float, z: float) -> tuple[float, int]:
     return down, face
 
 
-@njit(**KERNEL)  # type: ignore[untyped-decorator]
+@njit(**INNER)  # type: ignore[untyped-decorator]
 def _step(low: float, high: float, value: float) -> float:
     share = min(1.0, max(0.0, (value - low) / (high - low)))
     return share * share * (3.0 - 2.0 * share)
