@@ -25,9 +25,10 @@ from multicell.cells import FloatArray
 from multicell.host.interrupts import UNCUT
 from multicell.integrators.base import OUT_OF_STEPS_HINT, ErrorControl, Outcome, move_words
 from multicell.integrators.limits import find_failure, norm_share
-from multicell.integrators.stepping import LEAST_PART, furthest_move, largest_length
+from multicell.integrators.stepping import LEAST_PART, largest_length
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.system import Mechanics
+from multicell.mechanics.watch import empty_ways, furthest_ways
 
 _MAX_REFUSALS = 30  # restarts with shorter steps in one interval; then it is given up
 _STEPS_BEFORE_LIFT = 8  # steps without a refusal after which a ceiling rises again
@@ -119,6 +120,7 @@ class IntegrationProgress:
         self.offset = 0.0
         self.latest = 0.0
         self.speed: FloatArray | None = None
+        self._ways = empty_ways(len(system))
         self.steps = 0
         self.problem = ""
         self.hint = ""
@@ -218,7 +220,8 @@ class IntegrationProgress:
             self.share *= _SMALLER
             self.system.work.rejections += 1
             raise Restart
-        cell, moved = furthest_move(self.position, moved_to, self.system.motion.radius)
+        radius = self.system.motion.radius
+        cell, moved = furthest_ways(self.position, moved_to, radius, self._ways)
         # a move that is no number is the largest
         if not moved <= self.method.max_displacement:
             words = move_words(reached - before, moved, self.method.max_displacement)
@@ -251,6 +254,7 @@ class IntegrationProgress:
             speed,
             moved,
             self._most_error,
+            self._ways,
         )
         if part < 1.0:
             dt = reached - before

@@ -19,7 +19,6 @@ from multicell.integrators.driver import control
 from multicell.integrators.stepping import (
     LEAST_PART,
     fit_step,
-    furthest_move,
     largest_length,
     next_step,
     step_after_error,
@@ -27,6 +26,7 @@ from multicell.integrators.stepping import (
 )
 from multicell.mechanics.jacobian import limited
 from multicell.mechanics.motion import StateRejected
+from multicell.mechanics.watch import empty_ways, furthest_ways
 from multicell.random import Purpose, normal
 
 if TYPE_CHECKING:
@@ -242,6 +242,7 @@ class Walk:
             np.empty_like(position) for _ in range(4)
         )
         self._slope, self._last = np.zeros_like(position), np.zeros_like(position)
+        self._ways = empty_ways(len(system))
         # errors of steps of order 3 make one of the interval of order 2
         self._tolerances = method.worst * control(method, system, _ORDER, lower=2).strictness
         self._moving = _depends_on_time(system.motion)
@@ -323,7 +324,15 @@ class Walk:
                 step_after_error(1.0, size, _ORDER, 0.2),
             )
         part = system.missed_contact(
-            begin, end, self.position, trial, self.velocity, self._end, self._moved, atol
+            begin,
+            end,
+            self.position,
+            trial,
+            self.velocity,
+            self._end,
+            self._moved,
+            atol,
+            self._ways,
         )
         if part < 1.0:
             raise Refused(f"a contact forms within a step of {dt:.3g} s", max(part, LEAST_PART))
@@ -352,7 +361,7 @@ class Walk:
         system.velocity(0.5 * (begin + end), start + (0.5 * dt) * first, self._middle)
         second = first + solve(self._middle - first, None, allowed)
         trial = start + dt * second
-        cell, moved = furthest_move(start, trial, system.motion.radius)
+        cell, moved = furthest_ways(start, trial, system.motion.radius, self._ways)
         self._moved = moved
         if not moved <= method.max_displacement:
             allowed_move = method.max_displacement

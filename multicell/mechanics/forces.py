@@ -561,6 +561,8 @@ def _touches(h, unit, onset, p, elapsed):
     return h >= onset[p] * _unit_at(unit, p, elapsed)
 
 
+ROOMY = np.uint32(3)
+"""Cells whose places agree but for so many bits share what is known of their ways."""
 _PARTS = 16  # of a step, in which the attraction of a contact that forms is added up
 
 
@@ -598,8 +600,8 @@ def _approach(place, speed, i, j, growth, period):
 def pairs_about_to_touch(pairs, rows, elapsed, room, places):
     """Note the places of pairs whose gap or overlap is below the sum of the two ``room``, µm.
 
-    Returns how many there are. The write is unconditional and only the count depends on the test:
-    no branch to mispredict.
+    That of cell i is ``room[i >> ROOMY]``. Returns how many there are. The write is unconditional
+    and only the count depends on the test: no branch to mispredict.
     """
     count = 0
     for c in range(pairs.start.size):
@@ -608,33 +610,47 @@ def pairs_about_to_touch(pairs, rows, elapsed, room, places):
             dx, dy, dz = rows[j, 0] - rows[i, 0], rows[j, 1] - rows[i, 1], rows[j, 2] - rows[i, 2]
             dx, dy, dz = nearest_image(pairs.period, dx, dy, dz)
             reach = rows[i, RADIUS] + rows[j, RADIUS]
-            reach -= _begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
-            horizon = room[i] + room[j]
+            reach -= begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
+            horizon = room[i >> ROOMY] + room[j >> ROOMY]
             low, square = max(reach - horizon, 0.0), dx * dx + dy * dy + dz * dz
             places[count] = p
             count += np.int64((square > low * low) & (square < (reach + horizon) ** 2))
     return count
 
 
+class Passage(NamedTuple):
+    """A step that is looked at: its ends, and what may be missed in it.
+
+    - ``before``, ``after``, ``speed``, ``end_speed``: (n, 3) µm and µm/s, places and velocities
+    - ``elapsed``, ``dt``: when it begins after the motion has, and its length, s
+    - ``tolerance``: how far attraction may be missed, µm
+    """
+
+    before: NDArray[np.float64]
+    after: NDArray[np.float64]
+    speed: NDArray[np.float64]
+    end_speed: NDArray[np.float64]
+    elapsed: float
+    dt: float
+    tolerance: float
+
+
 @njit(**KERNEL)
-def forming_pairs(
-    places, pairs, radius, rate, before, after, speed, end_speed, elapsed, dt, way, tolerance, found
-):
+def forming_pairs(places, pairs, radius, rate, step, way, found):
     """Note those of ``places`` whose pairs come into contact within a step; return how many.
 
-    Cells go from ``before`` to ``after`` in ``dt``, with the velocities ``speed`` and
-    ``end_speed``; two of them come closer by at most ``way``. ``radius`` and ``rate`` are those of
-    :class:`CellData`.
+    Two cells come closer by at most ``way`` in the :class:`Passage` ``step``. ``radius`` and
+    ``rate`` are those of :class:`CellData`.
     """
-    count = 0
+    count, before, after = 0, step.before, step.after
     for p in places:
         i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
         dx, dy = before[j, 0] - before[i, 0], before[j, 1] - before[i, 1]
         dz = before[j, 2] - before[i, 2]
         dx, dy, dz = nearest_image(pairs.period, dx, dy, dz)
         reach = radius[i] + radius[j]
-        reach += (rate[i] + rate[j]) * elapsed
-        reach -= _begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
+        reach += (rate[i] + rate[j]) * step.elapsed
+        reach -= begin_of_contact(pairs.unit, pairs.onset, p, step.elapsed)
         square = dx * dx + dy * dy + dz * dz
         if square <= reach * reach or square >= (reach + way) * (reach + way):
             continue
@@ -643,36 +659,29 @@ def forming_pairs(
         dy -= after[j, 1] - after[i, 1]
         dz -= after[j, 2] - after[i, 2]
         dx, dy, dz = nearest_image(pairs.period, dx, dy, dz)
-        closer = 2.0 * math.sqrt(dx * dx + dy * dy + dz * dz) + tolerance
-        closer += (rate[i] + rate[j]) * dt
+        closer = 2.0 * math.sqrt(dx * dx + dy * dy + dz * dz) + step.tolerance
+        closer += (rate[i] + rate[j]) * step.dt
         if math.sqrt(square) - reach > closer:
             continue
-        _, _, _, _, nearest = _passage(
-            pairs, p, radius, rate, before, after, speed, end_speed, elapsed, dt
-        )
+        _, _, _, _, nearest = _passage(pairs, p, radius, rate, step)
         found[count] = p
         count += np.int64(nearest < 0.0)
     return count
 
 
 @njit(**KERNEL)
-def missed_contact(
-    cells, pairs, law, rows, places, before, after, speed, end_speed, elapsed, dt, tolerance
-):
+def missed_contact(cells, pairs, law, rows, places, step):
     """Return the part of a step to be taken where it misses a contact that forms in it, else 1.
 
-    ``places`` are those of :func:`forming_pairs`, as are the other arguments. Of a pair out of
+    ``places`` are those of :func:`forming_pairs`, as is ``step``. Of a pair out of
     contact the overlap without its own force follows from them, and the force that sets in at
-    contact draws the pair further. It is missed if it would do so by more than ``tolerance``, µm,
+    contact draws the pair further. It is missed if it would do so by more than the tolerance
     beyond what the step shows. What is slow at first grows fast: the force of JKR rises like
     h^{3/4}, so that an error estimate sees nothing of a late or passing contact.
     """
     part = 1.0
     for p in places:
-        taken = _part_taken(
-            cells, pairs, p, law, rows, before, after, speed, end_speed, elapsed, dt, tolerance
-        )
-        part = min(part, taken)
+        part = min(part, _part_taken(cells, pairs, p, law, rows, step))
     return part
 
 
@@ -681,6 +690,7 @@ def missed_among_all(
     cells, pairs, law, rows, before, after, speed, end_speed, elapsed, dt, moved, tolerance
 ):
     """Do what :func:`missed_contact` does with all pairs; cells move by ``moved`` of a radius."""
+    step = Passage(before, after, speed, end_speed, elapsed, dt, tolerance)
     largest, growth = 0.0, 0.0
     radius, rate = cells.radius, cells.radius_rate
     for i in range(radius.size):
@@ -688,42 +698,25 @@ def missed_among_all(
     way = 2.0 * (moved * largest + growth * dt)
     places = np.empty(pairs.first.size, dtype=np.int64)
     count = pairs_about_to_touch(pairs, rows, elapsed, np.full(radius.size, 0.5 * way), places)
-    near, found = places[:count], np.empty(count, dtype=np.int64)
-    count = forming_pairs(
-        near,
-        pairs,
-        radius,
-        rate,
-        before,
-        after,
-        speed,
-        end_speed,
-        elapsed,
-        dt,
-        way,
-        tolerance,
-        found,
-    )
-    found = found[:count]
-    return missed_contact(
-        cells, pairs, law, rows, found, before, after, speed, end_speed, elapsed, dt, tolerance
-    )
+    found = np.empty(count, dtype=np.int64)
+    count = forming_pairs(places[:count], pairs, radius, rate, step, way, found)
+    return missed_contact(cells, pairs, law, rows, found[:count], step)
 
 
 @njit(**INLINED)
-def _passage(pairs, p, radius, rate, before, after, speed, end_speed, elapsed, dt):
+def _passage(pairs, p, radius, rate, step):
     """Return how two cells pass each other in a step.
 
     The gap before and the speed at which it narrows, both at the end, and the least gap on the way,
     µm and µm/s.
     """
-    i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
+    i, j, dt = np.uint32(pairs.first[p]), np.uint32(pairs.second[p]), step.dt
     growth = rate[i] + rate[j]
-    begin = _begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
-    reach = radius[i] + radius[j] + growth * elapsed
-    gap, narrowing = _approach(before, speed, i, j, growth, pairs.period)
+    begin = begin_of_contact(pairs.unit, pairs.onset, p, step.elapsed)
+    reach = radius[i] + radius[j] + growth * step.elapsed
+    gap, narrowing = _approach(step.before, step.speed, i, j, growth, pairs.period)
     gap -= reach - begin
-    end, end_narrowing = _approach(after, end_speed, i, j, growth, pairs.period)
+    end, end_narrowing = _approach(step.after, step.end_speed, i, j, growth, pairs.period)
     end -= reach + growth * dt - begin
     dip = 0.15 * dt * (max(narrowing, 0.0) + max(-end_narrowing, 0.0))
     nearest = min(min(gap, end) - dip, gap - dt * max(narrowing, end_narrowing))
@@ -731,14 +724,13 @@ def _passage(pairs, p, radius, rate, before, after, speed, end_speed, elapsed, d
 
 
 @njit(**INLINED)
-def _part_taken(
-    cells, pairs, p, law, rows, before, after, speed, end_speed, elapsed, dt, tolerance
-):
+def _part_taken(cells, pairs, p, law, rows, step):
     """Return the part of a step until the contact of one pair is missed, else 1."""
     i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
-    begin = _begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
+    elapsed, dt, tolerance = step.elapsed, step.dt, step.tolerance
+    begin = begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
     gap, narrowing, end, end_narrowing, _ = _passage(
-        pairs, p, cells.radius, cells.radius_rate, before, after, speed, end_speed, elapsed, dt
+        pairs, p, cells.radius, cells.radius_rate, step
     )
     mobility = (1.0 / rows[i, RADIUS] + 1.0 / rows[j, RADIUS]) / law.medium_drag
     least = tolerance / _PARTS
@@ -765,7 +757,7 @@ def _part_taken(
 
 
 @njit(**INLINED)
-def _begin_of_contact(unit, onset, p, elapsed):
+def begin_of_contact(unit, onset, p, elapsed):
     """Return the overlap from which on a pair is in contact, µm."""
     if onset is None:
         return 0.0

@@ -328,6 +328,7 @@ class Mechanics:
         end_speed: FloatArray,
         moved: float,
         tolerance: float,
+        ways: FloatArray | None = None,
     ) -> float:
         """Return the part of a step to be taken instead where it misses a contact, else 1.
 
@@ -339,6 +340,7 @@ class Mechanics:
         - ``before``, ``after``, ``speed``, ``end_speed``: (n, 3) µm and µm/s, there
         - ``moved``: how far a cell has moved at most, in its radius
         - ``tolerance``: how far attraction may be missed, µm
+        - ``ways``: what :func:`.watch.furthest_ways` has noted of the step; None: nothing yet
         """
         pairs = self.neighbours.pairs
         if pairs is None or not (self.law.snaps or self.motion.bonds is not None):
@@ -348,12 +350,12 @@ class Mechanics:
         if given is not None:
             before, after = given.placed(begin, before), given.placed(end, after)
             speed, end_speed = speed + given.velocity, end_speed + given.velocity
-            way += given.fastest * (end - begin)
+            way, ways = way + given.fastest * (end - begin), None
         if self._watch is None:
             self._watch = ContactWatch(self.motion)
         kernel = self._cells, self._pair_data, self._law, self._rows
         path = before, after, speed, end_speed
-        return self._watch.missed_contact(pairs, kernel, path, begin, end, way, tolerance)
+        return self._watch.missed_contact(pairs, kernel, path, begin, end, way, tolerance, ways)
 
     def setup_preconditioner(self, gamma: float, linear: Linearisation) -> None:
         """Invert the 3 x 3 diagonal blocks of I - γJ, stable part, at the linearisation."""
