@@ -561,7 +561,7 @@ def _touches(h, unit, onset, p, elapsed):
     return h >= onset[p] * _unit_at(unit, p, elapsed)
 
 
-ROOMY = np.uint32(3)
+ROOMY = np.uint32(2)
 """Cells whose places agree but for so many bits share what is known of their ways."""
 _PARTS = 16  # of a step, in which the attraction of a contact that forms is added up
 

@@ -1,10 +1,11 @@
 """Pairs that may come into contact within a step, remembered from step to step.
 
-To look at all pairs after each step would cost a tenth of it. Cells are given room, eights of them
+To look at all pairs after each step would cost a tenth of it. Cells are given room, four of them
 together, which follow each other in memory: a gap as wide as the room of its two cells is not
 closed before one of them has used up its own. Pairs that are closer are noted with their gaps, and
 looked at where the ways of both add up to that. Cells that move fast get much room: they alone
-have many pairs noted, and not all others too.
+have many pairs noted, and not all others too. What a step touches is not in the nearest caches by
+then, so that each number which is read from afar counts.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from multicell.mechanics.neighbours import PairList
 
 _LEAST = 0.05  # room of cells that hardly move, in the largest radius
-_STEPS = 16.0  # room of others, over the way in a step
+_STEPS = 32.0  # room of others, over the way in a step
 _ROUNDING = 4.0  # of a time, in units of its last place
 
 
@@ -43,7 +44,7 @@ _ROUNDING = 4.0  # of a time, in units of its last place
 def furthest_ways(before, after, radius, ways):
     """Return the cell that moved furthest, in its radius, and how far; not a number is ∞.
 
-    Notes the longest way among eight cells each, µm, as :func:`empty_ways` has room for.
+    Notes the longest way among four cells each, µm, as :func:`empty_ways` has room for.
     """
     cell, most = 0, -1.0
     for b in range(ways.size):
@@ -82,7 +83,7 @@ def _search(watched, pairs, rows, elapsed, ways, slack):
         dx, dy, dz = nearest_image(pairs.period, dx, dy, dz)
         reach = rows[i, RADIUS] + rows[j, RADIUS]
         reach -= begin_of_contact(pairs.unit, pairs.onset, places[k], elapsed)
-        watched.first[k], watched.second[k] = i >> ROOMY, j >> ROOMY
+        watched.first[k], watched.second[k], watched.reach[k] = i, j, reach
         watched.gap[k] = abs(math.sqrt(dx * dx + dy * dy + dz * dz) - reach)
     return known
 
@@ -98,6 +99,24 @@ def _have_room(watched, ways, slack):
 
 
 @njit(**KERNEL)
+def _near(watched, known, period, before, ways, slack):
+    """Note which of the watched pairs may come into contact in a step; return how many."""
+    closed, near = watched.closed, 0
+    for k in range(known):
+        i, j = watched.first[k], watched.second[k]
+        if watched.gap[k] > closed[i >> ROOMY] + closed[j >> ROOMY] + 2.0 * slack:
+            continue
+        dx, dy = before[j, 0] - before[i, 0], before[j, 1] - before[i, 1]
+        dx, dy, dz = nearest_image(period, dx, dy, before[j, 2] - before[i, 2])
+        low = max(watched.reach[k] - 2.0 * slack, 0.0)
+        high = watched.reach[k] + 2.0 * (ways[i >> ROOMY] + ways[j >> ROOMY] + 2.0 * slack)
+        square = dx * dx + dy * dy + dz * dz
+        watched.found[near] = watched.places[k]
+        near += np.int64((square >= low * low) & (square <= high * high))
+    return near
+
+
+@njit(**KERNEL)
 def _look(watched, known, cells, pairs, law, rows, step, ways, way, slack):
     """Return the part of a step to be taken, as :func:`.forces.missed_contact` does.
 
@@ -107,12 +126,8 @@ def _look(watched, known, cells, pairs, law, rows, step, ways, way, slack):
     renewed = known < 0 or not _have_room(watched, ways, slack)
     if renewed:
         known = _search(watched, pairs, rows, step.elapsed, ways, slack)
-    closed, found, near = watched.closed, watched.found, 0
-    for k in range(known):
-        found[near] = watched.places[k]
-        most = closed[watched.first[k]] + closed[watched.second[k]] + 2.0 * slack
-        near += np.int64(watched.gap[k] <= most)
-    radius, rate = cells.radius, cells.radius_rate
+    found, radius, rate = watched.found, cells.radius, cells.radius_rate
+    near = _near(watched, known, pairs.period, step.before, ways, slack)
     forming = forming_pairs(found[:near], pairs, radius, rate, step, way, found)
     part = 1.0
     if forming > 0:
@@ -123,9 +138,9 @@ def _look(watched, known, cells, pairs, law, rows, step, ways, way, slack):
 class Watched(NamedTuple):
     """Arrays of a watch, and the least room, µm.
 
-    Of eight cells each their room, the way that they have gone and what of their gaps may be closed
-    in a step; of pairs their places in the list, gap or overlap, and the eights that they are of.
-    ``found`` are those that are looked at in a step.
+    Of four cells each their room, the way that they have gone and what of their gaps may be closed
+    in a step; of pairs their places in the list, cells, gap or overlap, and the distance at which
+    they touch. ``found`` are those that are looked at in a step.
     """
 
     least: float
@@ -135,6 +150,7 @@ class Watched(NamedTuple):
     places: NDArray[np.int64]
     found: NDArray[np.int64]
     gap: FloatArray
+    reach: FloatArray
     first: NDArray[np.uint32]
     second: NDArray[np.uint32]
 
@@ -146,8 +162,7 @@ class ContactWatch:
     def __init__(self, motion: Motion) -> None:
         self._motion = motion
         self._last, self._own = (empty_ways(len(motion.radius)) for _ in range(2))
-        self._eights = tuple(empty_ways(len(motion.radius)) for _ in range(3))
-        self._watched: Watched
+        self._watched = self._for_pairs(0)
         self._pairs: PairList | None = None
         self._since, self._known = 0.0, -1
         self._begin, self._end = math.nan, math.nan
@@ -179,7 +194,8 @@ class ContactWatch:
         self._follow(begin)
         if self._pairs is not pairs:
             self._pairs, self._known = pairs, -1
-            self._watched = _for_pairs(len(pairs.first), self._eights, motion.largest_radius)
+            if len(pairs.first) > len(self._watched.places):
+                self._watched = self._for_pairs(len(pairs.first))
         since = end if self._known < 0 else self._since
         # radii change, and gaps below the tolerance are looked at wherever cells go
         slack = motion.fastest_growth * (abs(begin - since) + dt) + 0.5 * tolerance
@@ -197,6 +213,15 @@ class ContactWatch:
         self._last[:] = ways
         return float(part)
 
+    def _for_pairs(self, count: int) -> Watched:
+        """Return arrays for a list of so many pairs."""
+        motion = self._motion
+        places, found = np.empty((2, count), dtype=np.int64)
+        first, second = np.empty((2, count), dtype=np.uint32)
+        ways = (empty_ways(len(motion.radius)) for _ in range(3))
+        least, lengths = _LEAST * motion.largest_radius, np.empty((2, count))
+        return Watched(least, *ways, places, found, *lengths, first, second)
+
     def _follow(self, begin: float) -> None:
         """Let cells go the way of the last step, if it was taken; after a gap nothing is known."""
         if begin == self._begin:
@@ -205,10 +230,3 @@ class ContactWatch:
             self._watched.used[:] += self._last
         else:
             self._known = -1
-
-
-def _for_pairs(count: int, eights: tuple[FloatArray, ...], largest: float) -> Watched:
-    """Return arrays for a list of so many pairs."""
-    places, found = np.empty((2, count), dtype=np.int64)
-    first, second = np.empty((2, count), dtype=np.uint32)
-    return Watched(_LEAST * largest, *eights, places, found, np.empty(count), first, second)

@@ -138,7 +138,7 @@ def test_the_pairs_that_are_watched_have_all_that_come_into_contact(seed):
     ones, rate = np.ones(n), 10.0 ** rng.uniform(-6.0, -3.0, n)
     system.begin(Motion(4.0 * ones, rate, ones, 0.5 * ones, 0.0, 600.0))
     watch, position, time = ContactWatch(system.motion), 42.0 * rng.random((n, 3)), 0.0
-    # eights of cells share their room: like ones lie beside each other
+    # four cells share their room: like ones lie beside each other
     pace = 10.0 ** np.sort(rng.uniform(-5.0, -1.0, (n, 1)), axis=0)
     seen = []
     for k in range(60):

@@ -37,9 +37,8 @@ MAX_RATIO: Final = 3.0
 STEP_ENDS: Final = {
     STABLE: "the worst cell is off by at most three times the effect of shifts of the start, or by "
     "less than the shift itself",
-    POCKET: "so it is, or by at most three times the effect of shifts at 32 times of the step, but "
-    "a cell is off by more than a twentieth of a radius and has other contacts: nobody can know "
-    "the pocket in which it ends",
+    POCKET: "so it is, but a cell is off by more than a twentieth of a radius and has other "
+    "contacts: nobody can know the pocket in which it ends",
     BLOW_UP: "positions grow beyond all bounds or are no numbers, a step would throw a cell away, "
     "or a fixed step is beyond the method's limit, so that the fastest modes grow until contacts "
     "open",
@@ -50,7 +49,8 @@ STEP_ENDS: Final = {
     "about when it forms",
     SNAP: "an eighth of a step later the cells are where the true ones are: a snap near the end "
     "came too early or too late",
-    WRONG: "a cell ends in another pocket, and no shift at the start or later moves it there",
+    WRONG: "a cell ends in another pocket, and no shift of the start moves it there; the words say "
+    "what shifts within the step do",
     COARSE: "all true contacts are there, but a cell is off by more than is allowed",
 }
 """End of a trial from a recorded state -> its meaning. The first one that applies counts."""
@@ -113,7 +113,10 @@ def trial_row(truth: TrueStep, trial: StepTrial) -> Row:
         shift = max(shift, trial.setting)
     conditioning = truth.conditioning(shift)
     error = math.inf if trial.words else worst_distance(trial.end, truth.end)
-    kind, words = _name(truth, trial, error, max(MAX_RATIO * conditioning, shift), shift)
+    kind, words = _name(truth, trial, error, max(MAX_RATIO * conditioning, shift))
+    if kind == WRONG:
+        within = truth.conditioning_within(shift)
+        words += f"; shifts by {shift:g} um at 32 times of the step do up to {within:.3g} um"
     return {
         "state": state.name,
         "cells": len(state.start),
@@ -133,9 +136,7 @@ def trial_row(truth: TrueStep, trial: StepTrial) -> Row:
     }
 
 
-def _name(
-    truth: TrueStep, trial: StepTrial, error: float, allowed: float, shift: float
-) -> tuple[str, str]:
+def _name(truth: TrueStep, trial: StepTrial, error: float, allowed: float) -> tuple[str, str]:
     """Return the name of an end, and what was seen, in words."""
     if trial.words:
         return (BLOW_UP if THROWN.search(trial.words) else STALL), trial.words
@@ -165,10 +166,6 @@ def _name(
                 f"cells {i} and {j} touch from {cured[0]:.6g} s on; {off}, and {cured[1]:.2g} um "
                 "where the method stops then"
             )
-    if differs and error > _LARGE * radius:
-        within = truth.conditioning_within(shift)
-        if error <= MAX_RATIO * within:
-            return POCKET, f"{off}, as shifts within the step do by up to {within:.3g} um"
     if differs:
         return WRONG, f"{off}; {len(missing)} contacts are missing and {len(more)} are too many"
     return COARSE, off
