@@ -218,9 +218,10 @@ class ContactWatch:
         motion = self._motion
         places, found = np.empty((2, count), dtype=np.int64)
         first, second = np.empty((2, count), dtype=np.uint32)
-        ways = (empty_ways(len(motion.radius)) for _ in range(3))
-        least, lengths = _LEAST * motion.largest_radius, np.empty((2, count))
-        return Watched(least, *ways, places, found, *lengths, first, second)
+        room, used, closed = (empty_ways(len(motion.radius)) for _ in range(3))
+        gap, reach = np.empty((2, count))
+        least = _LEAST * motion.largest_radius
+        return Watched(least, room, used, closed, places, found, gap, reach, first, second)
 
     def _follow(self, begin: float) -> None:
         """Let cells go the way of the last step, if it was taken; after a gap nothing is known."""
