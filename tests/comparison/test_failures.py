@@ -114,7 +114,7 @@ def test_a_wrong_pocket_says_what_shifts_within_the_step_do(truths):
     assert row["error_um"] == pytest.approx(2.29, abs=0.01)
     assert row["conditioning_um"] < 0.03
     assert row["kind"] == WRONG
-    assert row["words"].endswith("shifts by 0.01 um at 32 times of the step do up to 2.29 um")
+    assert row["words"].endswith("shifts by 0.01 um at 32 times of the step do up to 2.3 um")
     assert truth.conditioning_within(1e-5) < 0.01
     assert tried(truth, "rkc2", 0.003)["kind"] == STABLE
 
