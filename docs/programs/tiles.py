@@ -12,6 +12,8 @@ Methods   all in the registry with an error control, and the null methods. From 
 Cost      printed at the beginning; one thread. --quick takes about two minutes
 Command   python docs/programs/tiles.py     (--states, --cells, --stiffness, --seeds, --methods)
           python docs/programs/tiles.py --again 5     five tiles with other seeds, to compare
+          python docs/programs/tiles.py --threads 1 2     a few tiles on more threads (six minutes
+          of an idle machine; --cells 10000 20000 --states typical --stiffness 10 1e3 1e5)
 
 What is done is kept in docs/chart-data and not computed again. With --tables nothing is computed;
 --renew METHOD solves by that method again, if it has changed.
@@ -27,6 +29,7 @@ from collections.abc import Iterable, Sequence
 from itertools import product
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 from marked import replaced
 from picture_origins import record
@@ -34,6 +37,7 @@ from tile_picture import draw
 from tile_problems import GOALS, STATES, Solved, Tile, solved
 from tile_race import DEFAULT, REACHED, Row, race
 from tile_tables import again_table, defaults_table, main_table, points, states_table
+from tile_threads import race_threads, threads_table
 
 from multicell.comparison.ladders import find_method
 from multicell.comparison.null_methods import NULL_METHODS
@@ -48,6 +52,13 @@ SEEDS = {100: 20, 1_000: 20, 10_000: 5, 100_000: 1}
 """Number of cells -> number of seeds."""
 MOST = {100_000: 1e3}
 """Number of cells -> largest λΔt that is tried by default."""
+SHARED: dict[str, tuple[Any, ...]] = {
+    "states": ("typical",),
+    "cells": (10_000, 20_000),
+    "stiffness": (1e1, 1e3, 1e5),
+}
+"""What --threads solves by default."""
+SHARING, SHARING_ROWS = "tiles on threads", "tile-threads"
 PILOTS, NEAR, FAR = 3, 2.0, 5.0
 """Seeds that all methods solve; cost over the best one's up to which a method takes part in later
 seeds, and with more cells."""
@@ -292,12 +303,38 @@ def _minutes(tiles: Sequence[Tile], known: Sequence[Row]) -> float:
     )
 
 
+def share(given: argparse.Namespace) -> None:
+    """Solve some tiles on several threads."""
+    name, rows = SHARING_ROWS, kept(given.results, "tile-costs")
+    done = {tuple(row[n] for n in KEY) for row in kept(given.results, name)}
+    for tile in (
+        Tile(s, n, z, 1) for s, n, z in product(given.states, given.cells, given.stiffness)
+    ):
+        if tuple(columns(tile).values()) not in done:
+            found = race_threads(tile, rows, given.threads, given.cache)
+            keep(given.results, name, found)
+            print(threads_table(found).splitlines()[-1], flush=True)
+    put(given, {SHARING: threads_table(kept(given.results, name))})
+
+
 def warm_up(given: argparse.Namespace) -> None:
     """Compile and load all that the methods need."""
     step = solved(Tile("fresh", 100, 1e3, 1), given.cache)
     for name in given.methods:
         method = find_method(name, step.problem.scene, step.problem.mean_radius)
         replay(step.problem, method.make(0.01 if method.control == "tolerance" else 60.0))
+
+
+def put(given: argparse.Namespace, pages: dict[str, str]) -> None:
+    """Print tables, and put them on the page that has marks for them."""
+    for name, text in pages.items():
+        print(f"\n{name}\n\n{text}")
+    if given.page is not None:
+        page = given.page.read_text(encoding="utf-8")
+        for name, text in pages.items():
+            if f"<!-- {name}:" in page:  # one goal is enough for a page
+                page = replaced(page, name, text)
+        given.page.write_text(page, encoding="utf-8")
 
 
 def show(given: argparse.Namespace) -> None:
@@ -310,8 +347,10 @@ def show(given: argparse.Namespace) -> None:
     pages |= {"states of the tiles": states_table(first[0]), "defaults": defaults_table(first[1])}
     if len(first[0]) < len(tiles):
         pages["tiles with other seeds"] = again_table(tiles, rows, OTHERS)
-    for name, text in pages.items():
-        print(f"\n{name}\n\n{text}")
+    shared = kept(given.results, SHARING_ROWS)
+    if shared:
+        pages[SHARING] = threads_table(shared)
+    put(given, pages)
     given.figures.mkdir(parents=True, exist_ok=True)
     for goal in GOALS:
         end = "" if goal == GOALS[0] else "-fine"
@@ -319,20 +358,15 @@ def show(given: argparse.Namespace) -> None:
         save_figure(draw(*first, goal), picture)
         best = {point.best for point in points(*first, goal)} - {""}
         record(picture, "python docs/programs/tiles.py", best)
-    if given.page is not None:
-        page = given.page.read_text(encoding="utf-8")
-        for name, text in pages.items():
-            if f"<!-- {name}:" in page:  # one goal is enough for a page
-                page = replaced(page, name, text)
-        given.page.write_text(page, encoding="utf-8")
 
 
 def parser() -> argparse.ArgumentParser:
     """Return the options of the command."""
     made = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    made.add_argument("--states", nargs="+", choices=STATES, default=STATES)
-    made.add_argument("--cells", type=int, nargs="+", default=tuple(SEEDS))
-    made.add_argument("--stiffness", type=float, nargs="+", default=STIFFNESS, help="λΔt")
+    made.add_argument("--states", nargs="+", choices=STATES)
+    made.add_argument("--cells", type=int, nargs="+")
+    made.add_argument("--stiffness", type=float, nargs="+", help="λΔt")
+    made.add_argument("--threads", type=int, nargs="+", help="some tiles on so many threads each")
     made.add_argument("--seeds", type=int, help=f"number of seeds ({SEEDS})")
     made.add_argument("--all", action="store_true", help="all λΔt for any number of cells")
     made.add_argument("--quick", action="store_true", help="few tiles and seeds, in a folder apart")
@@ -348,13 +382,25 @@ def parser() -> argparse.ArgumentParser:
     return made
 
 
+def filled(given: argparse.Namespace) -> argparse.Namespace:
+    """Return options with the tiles that are solved by default."""
+    wide = {"states": STATES, "cells": tuple(SEEDS), "stiffness": STIFFNESS}
+    for name, values in (SHARED if given.threads else wide).items():
+        if getattr(given, name) is None:
+            setattr(given, name, values)
+    return given
+
+
 def main() -> None:
     """Solve what is missing, then print the tables and draw the pictures."""
-    given = parser().parse_args()
+    given = filled(parser().parse_args())
     if given.quick:
         given.cells, given.stiffness, given.seeds = (100, 1_000), (1e1, 1e3, 1e5), 1
         if given.results == DOCS / "chart-data":
             given.results = given.figures = Path("tiles-quick")
+    if given.threads:
+        share(given)
+        return
     if given.renew:
         warm_up(given)
         renew(given)

@@ -106,6 +106,19 @@ def test_a_pocket_that_shifts_by_the_tolerance_also_miss_is_no_failure(truths):
     assert row["ratio"] < 1.0
 
 
+@pytest.mark.slow
+def test_a_wrong_pocket_says_what_shifts_within_the_step_do(truths):
+    """Two cells part at 101 s. The step forgets shifts of its start by then, but not later ones."""
+    truth = truths("motile", "packed")
+    row = tried(truth, "rkc2", 0.01)
+    assert row["error_um"] == pytest.approx(2.29, abs=0.01)
+    assert row["conditioning_um"] < 0.03
+    assert row["kind"] == WRONG
+    assert row["words"].endswith("shifts by 0.01 um at 32 times of the step do up to 2.3 um")
+    assert truth.conditioning_within(1e-5) < 0.01
+    assert tried(truth, "rkc2", 0.003)["kind"] == STABLE
+
+
 def test_cells_that_stay_where_the_true_ones_left_are_damped_and_not_excused(truths):
     truth = truths("chain", 40.0, 1.0)
     row = tried(truth, "cvode", 1.5)

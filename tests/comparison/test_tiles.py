@@ -24,12 +24,13 @@ def scripts():
         import tile_problems
         import tile_race
         import tile_tables
+        import tile_threads
         import tiles
     finally:
         sys.path.remove(str(PROGRAMS))
     return argparse.Namespace(
         tiles=tiles, problems=tile_problems, race=tile_race, tables=tile_tables,
-        defaults=defaults_tables,
+        threads=tile_threads, defaults=defaults_tables,
     )  # fmt: skip
 
 
@@ -194,3 +195,63 @@ def test_the_default_is_the_cheapest_that_changes_nothing_beyond_its_error(scrip
     (tight,) = scripts.defaults.changes(rows, ("auto", 0.1), ("auto", 0.001))
     assert tight.within
     assert scripts.defaults.default(rows, ("auto", 0.001)) == ("auto", 0.1)
+
+
+def known_cost(method, implicit, cells, cost, setting, **more):
+    """Return a row of the costs of a tile."""
+    row = {"state": "typical", "stiffness": 1e3, "seed": 1.0, "goal": 0.01, "status": "reached"}
+    about = {"method": method, "implicit": implicit, "cells": cells, "cost": cost}
+    return row | about | {"setting": setting} | more
+
+
+def test_threads_take_the_best_of_each_kind_at_the_tolerance_that_reached_the_goal(scripts):
+    rows = [
+        known_cost("rkc2", 0, 1e4, 3.0, 0.01),
+        known_cost("ab2-adaptive", 0, 1e4, 1.0, 0.03),
+        known_cost("dopri5", 0, 1e3, 0.1, 0.3),
+        known_cost("auto", 0, 1e4, 0.5, 0.1),
+        known_cost("euler-adaptive", 0, 1e4, 0.2, 0.1, status="too slow"),
+        known_cost("rkc2", 0, 1e5, 0.1, 0.3),
+        *(known_cost("cvode", 1, 1e4, 2.0 + k, 0.1 / (1 + k), seed=k) for k in range(3)),
+        known_cost("rosenbrock", 1, 1e4, 1.0, 0.1),  # of fewer seeds than the other
+        known_cost("rosenbrock", 1, 1e4, 1.0, 1.0, goal=0.1),
+    ]
+    tile = scripts.problems.Tile("typical", 20_000, 1e3, 1)
+    assert scripts.threads.chosen(rows, tile) == [("ab2-adaptive", 0.03), ("cvode", 0.05)]
+    with pytest.raises(SystemExit, match="no implicit method is known"):
+        scripts.threads.chosen([row for row in rows if not row["implicit"]], tile)
+
+
+def test_the_winner_on_threads_is_the_kind_whose_first_thread_has_less_to_do(scripts):
+    tile = {"state": "typical", "cells": 2e4, "stiffness": 1e3, "seed": 1.0}
+
+    def row(implicit, threads, first):
+        name = ("rkc2", "cvode")[implicit]
+        about = {"implicit": implicit, "method": name, "threads": threads, "first_thread": first}
+        return tile | about | {"cpu": 1.1 * first, "wall": 1.2 * first}
+
+    rows = [row(0, 1, 3.0), row(0, 2, 1.5), row(1, 1, 2.0), row(1, 2, 1.6)]
+    line = scripts.threads.threads_table(rows).splitlines()[-1]
+    assert (
+        line
+        == "| 20,000 | typical | 10³ | `rkc2` 3.3 s; 2.00 | `cvode` 2.2 s; 1.25 | 1.5, 0.94 | yes |"
+    )
+    rows[1] = row(0, 2, 2.5)
+    assert scripts.threads.threads_table(rows).endswith("| 1.5, 1.6 | no |")
+
+
+def test_a_tile_is_solved_on_threads_once(scripts, given, monkeypatch, capsys):
+    scripts.tiles.compute(given)
+    given.threads = [1, 2]
+    scripts.tiles.share(given)
+    rows = scripts.tiles.kept(given.results, "tile-threads")
+    assert [(row["method"], row["threads"]) for row in rows] == [
+        ("rkc2", 1),
+        ("rkc2", 2),
+        ("cvode", 1),
+        ("cvode", 2),
+    ]
+    assert all(0.0 < row["first_thread"] <= 1.01 * row["cpu"] for row in rows)
+    monkeypatch.setattr(scripts.tiles, "race_threads", lambda *_: pytest.fail("solved again"))
+    scripts.tiles.share(given)
+    assert "| 50 | typical | 10² |" in capsys.readouterr().out

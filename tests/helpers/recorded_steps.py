@@ -24,14 +24,15 @@ def _recorded(name, system, start):
     return RecordedState(name, scene, system, system.motion, start, np.arange(len(start)))
 
 
-def motile_state():
+def motile_state(name="loose"):
     """Return a step of 51 cells that move by themselves, of which two graze each other at 731 s.
 
-    See tests/integrators/test_passed_contacts.py.
+    ``packed`` is another step, in which cells part from each other at 101 s. See
+    tests/integrators/test_passed_contacts.py.
     """
     with np.load(_FILE) as stored:
-        names = [key for key in stored if key.startswith("loose_")]
-        cells = {key.removeprefix("loose_"): stored[key] for key in names}
+        names = [key for key in stored if key.startswith(f"{name}_")]
+        cells = {key.removeprefix(f"{name}_"): stored[key] for key in names}
     energy, viscosity = cells["medium"]
     system = Mechanics(JKR(surface_energy=float(energy)), float(viscosity))
     radii = (cells[name] for name in ("radius", "radius_rate", "young", "poisson"))

@@ -49,7 +49,8 @@ STEP_ENDS: Final = {
     "about when it forms",
     SNAP: "an eighth of a step later the cells are where the true ones are: a snap near the end "
     "came too early or too late",
-    WRONG: "a cell ends in another pocket, and no shift of the start moves it there",
+    WRONG: "a cell ends in another pocket, and no shift of the start moves it there; the words say "
+    "what shifts within the step do",
     COARSE: "all true contacts are there, but a cell is off by more than is allowed",
 }
 """End of a trial from a recorded state -> its meaning. The first one that applies counts."""
@@ -113,6 +114,9 @@ def trial_row(truth: TrueStep, trial: StepTrial) -> Row:
     conditioning = truth.conditioning(shift)
     error = math.inf if trial.words else worst_distance(trial.end, truth.end)
     kind, words = _name(truth, trial, error, max(MAX_RATIO * conditioning, shift))
+    if kind == WRONG:
+        within = truth.conditioning_within(shift)
+        words += f"; shifts by {shift:g} um at 32 times of the step do up to {within:.3g} um"
     return {
         "state": state.name,
         "cells": len(state.start),

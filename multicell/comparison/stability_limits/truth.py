@@ -2,7 +2,8 @@
 
 The end is solved by two methods at tight tolerances. Its *conditioning* is the largest displacement
 of a cell at the end that normal random shifts of all coordinates at the start cause, the most of
-twelve: one alone may by chance do a thirtieth of another.
+twelve: one alone may by chance do a thirtieth of another. A step may forget a shift of its start
+and yet hang by a hair later, where a contact breaks: shifts within the step show that.
 """
 
 from __future__ import annotations
@@ -21,9 +22,12 @@ from multicell.comparison.stability_limits.state import largest_decay, largest_g
 from multicell.errors import SceneError, StepFailed
 from multicell.integrators.base import Integrator, build_method
 from multicell.integrators.shift import SHIFT, shifted_positions
+from multicell.mechanics.motion import Motion
+from multicell.mechanics.system import Mechanics
 
 SHIFTS: Final = 12
 """Number of random shifts of a start, of which the one with the largest effect counts."""
+_DRAWS: Final = range(1, SHIFTS + 1)  # seeds of the shifts
 
 _EXACT, _CHECK, _SHIFTED = 1e-11, 1e-10, 1e-8  # tolerances in radii: truth, its check, shifts
 _PARTS: Final = 32  # of a coupling step, at whose ends the true contacts are looked at
@@ -68,22 +72,45 @@ class TrueStep:
         At least the uncertainty of the end itself.
         """
         if shift not in self.moved:
-            state, free = self.state, np.ones(len(self.end), dtype=bool)
-            if state.motion.held is not None:
-                free = ~state.motion.held
-            method, ids = reference_method(state, self.method, _SHIFTED), np.arange(len(free))
-            most = 0.0
-            for draw in range(SHIFTS):
-                start = shifted_positions(
-                    state.start, shift, draw + 1, 0, ids, state.scene.dimensions
-                )
-                start = np.where(free[:, None], start, state.start)
-                words, end, _ = state.solve(method, start)
-                if words:
-                    raise StepFailed(state.motion.begin, f"{state.name}, shifted: {words}", _HINT)
-                most = max(most, worst_distance(end, self.end))
-            self.moved[shift] = most
+            motion, method = self.state.motion, self._tight()
+            ends = [self._solved(method, self._shifted(shift, draw), motion)[0] for draw in _DRAWS]
+            self.moved[shift] = max(worst_distance(end, self.end) for end in ends)
         return max(self.moved[shift], float(np.nan_to_num(self.uncertainty)))
+
+    def conditioning_within(self, shift: float = SHIFT) -> float:
+        """Return the effect of shifts at each of 32 times of the step, µm: the largest of twelve.
+
+        Less than what a method may do whose steps are each off by ``shift``.
+        """
+        most, method, touching = 0.0, self._tight(), self.state.motion.touching
+        for draw in _DRAWS:
+            position, memory = self.state.start, touching
+            for k, (begin, end) in enumerate(itertools.pairwise(self._times())):
+                position = self._shifted(shift, draw, k, position)
+                motion = self.state.motion.between(begin, end, memory)
+                position, system = self._solved(method, position, motion)
+                memory = None if touching is None else system.contacts(end, position)
+            most = max(most, worst_distance(position, self.end))
+        return most
+
+    def _shifted(
+        self, shift: float, draw: int, place: int = 0, position: FloatArray | None = None
+    ) -> FloatArray:
+        """Return positions, by default the start, with all cells shifted that are not held."""
+        state = self.state
+        position = state.start if position is None else position
+        ids, held = np.arange(len(position)), state.motion.held
+        moved = shifted_positions(position, shift, draw, place, ids, state.scene.dimensions)
+        return moved if held is None else np.where(held[:, None], position, moved)
+
+    def _solved(
+        self, method: Integrator, position: FloatArray, motion: Motion
+    ) -> tuple[FloatArray, Mechanics]:
+        """Return where shifted cells end, and the mechanics there."""
+        words, end, system = self.state.solve(method, position, motion)
+        if words:
+            raise StepFailed(motion.begin, f"{self.state.name}, shifted: {words}", _HINT)
+        return end, system
 
     def null_error(self) -> float:
         """Return how far the better one of the methods without mechanics is off, µm."""
@@ -118,9 +145,8 @@ class TrueStep:
         None if it is not in contact at the end.
         """
         state, touching = self.state, self.state.motion.touching
-        times = np.linspace(state.motion.begin, state.motion.end, _PARTS + 1)
         position, since, memory = state.start, None, touching
-        for begin, end in itertools.pairwise(times.tolist()):
+        for begin, end in itertools.pairwise(self._times()):
             motion = state.motion.between(begin, end, memory)
             words, position, system = state.solve(self._tight(), position, motion)
             if words:
@@ -155,6 +181,11 @@ class TrueStep:
                 return None
             memory = None if memory is None else system.contacts(end, position)
         return position
+
+    def _times(self) -> list[float]:
+        """Return the ends of the parts of the step, s."""
+        motion = self.state.motion
+        return [float(t) for t in np.linspace(motion.begin, motion.end, _PARTS + 1)]
 
     def _tight(self) -> Integrator:
         return reference_method(self.state, self.method, _SHIFTED)
