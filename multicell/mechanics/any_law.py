@@ -23,8 +23,8 @@ _typeof: Any = typeof
 
 
 def law_values(law: Any) -> FloatArray:
-    """Return the constants of a law as an array; zero for those that it lacks (None)."""
-    return np.array([0.0 if value is None else value for value in law])
+    """Return the constants of a law as an array; not a number for those that it lacks (None)."""
+    return np.array(law, dtype=np.float64)
 
 
 def law_type(law: Any) -> Any:
