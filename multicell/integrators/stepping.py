@@ -279,22 +279,11 @@ def stepping_kernels(
     place, seen = np.empty((2, 0, 3))
     seen.flags.writeable = False
     run = forces.forces_parallel if shared else forces.forces
-    cells, rows, kind = source.cells, source.rows, any_law.law_type(law)
+    cells, rows = source.cells, source.rows
+    given = any_law.law_type(law), 0, cells, pairs, source.law, place, 0.0, rows, place
     known: dict[str, tuple[Any, ...]] = {
         "kernel_at": (run, True, cells, pairs, law, seen, 0.0, True, rows, place),
-        "velocities_at": (
-            any_law.velocities,
-            True,
-            kind,
-            0,
-            cells,
-            pairs,
-            source.law,
-            place,
-            0.0,
-            rows,
-            place,
-        ),
+        "velocities_at": (any_law.velocities, True, *given),
         "evaluation_at": (_EVALUATION, (0, pairs), source, pairs, 0.0, place, place),
     }
     known |= updating.kernel_calls(place, source.reach, cells.chunk, pairs[:5], shared=shared)
