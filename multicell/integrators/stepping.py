@@ -173,7 +173,7 @@ def _compiled_part(source, pairs, before, after, slope, end_slope, elapsed, dt, 
     def run(source, pairs, before, after, slope, end_slope, elapsed, dt, moved, tolerance):
         if source.missed_at == 0:
             return 1.0
-        return any_law.missed_contact_at(
+        return any_law.missed_among_all_at(
             source.missed_at,
             None,
             source.law,
@@ -264,7 +264,7 @@ def with_addresses(
         if watched:
             path = (np.empty((0, 3)),) * 4
             known = any_law.law_type(law), source.law, source.cells, pairs, source.rows, path
-            used["missed_at"] = (any_law.missed_contact, 0.0, *known, 0.0, 0.0, 0.0, 0.0)
+            used["missed_at"] = (any_law.missed_among_all, 0.0, *known, 0.0, 0.0, 0.0, 0.0)
         _PLACES[key] = {name: address_of(*kernel) for name, kernel in used.items()}
     return source._replace(**_PLACES[key])
 
