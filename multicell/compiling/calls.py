@@ -31,9 +31,11 @@ def kind_of(value: Any) -> Any:
         return value.dtype.char, value.ndim, value.flags.num & ~_OWNED
     if isinstance(value, tuple):
         return (kind, *map(kind_of, value))
-    return value if isinstance(value, types.Type) else kind
+    return value if kind in _TYPES else kind
 
 
+_TYPES = frozenset({types.NamedTuple, types.NamedUniTuple})
+"""Types that are arguments themselves, see :mod:`multicell.mechanics.any_law`."""
 _ADDRESSES: dict[Any, int] = {}
 
 

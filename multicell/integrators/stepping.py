@@ -173,7 +173,7 @@ def _compiled_part(source, pairs, before, after, slope, end_slope, elapsed, dt, 
     def run(source, pairs, before, after, slope, end_slope, elapsed, dt, moved, tolerance):
         if source.missed_at == 0:
             return 1.0
-        return any_law.missed_contact_at(
+        return any_law.missed_among_all_at(
             source.missed_at,
             None,
             source.law,
@@ -264,7 +264,7 @@ def with_addresses(
         if watched:
             path = (np.empty((0, 3)),) * 4
             known = any_law.law_type(law), source.law, source.cells, pairs, source.rows, path
-            used["missed_at"] = (any_law.missed_contact, 0.0, *known, 0.0, 0.0, 0.0, 0.0)
+            used["missed_at"] = (any_law.missed_among_all, 0.0, *known, 0.0, 0.0, 0.0, 0.0)
         _PLACES[key] = {name: address_of(*kernel) for name, kernel in used.items()}
     return source._replace(**_PLACES[key])
 
@@ -279,22 +279,11 @@ def stepping_kernels(
     place, seen = np.empty((2, 0, 3))
     seen.flags.writeable = False
     run = forces.forces_parallel if shared else forces.forces
-    cells, rows, kind = source.cells, source.rows, any_law.law_type(law)
+    cells, rows = source.cells, source.rows
+    given = any_law.law_type(law), 0, cells, pairs, source.law, place, 0.0, rows, place
     known: dict[str, tuple[Any, ...]] = {
         "kernel_at": (run, True, cells, pairs, law, seen, 0.0, True, rows, place),
-        "velocities_at": (
-            any_law.velocities,
-            True,
-            kind,
-            0,
-            cells,
-            pairs,
-            source.law,
-            place,
-            0.0,
-            rows,
-            place,
-        ),
+        "velocities_at": (any_law.velocities, True, *given),
         "evaluation_at": (_EVALUATION, (0, pairs), source, pairs, 0.0, place, place),
     }
     known |= updating.kernel_calls(place, source.reach, cells.chunk, pairs[:5], shared=shared)

@@ -23,8 +23,8 @@ _typeof: Any = typeof
 
 
 def law_values(law: Any) -> FloatArray:
-    """Return the constants of a law as an array; zero for those that it lacks (None)."""
-    return np.array([0.0 if value is None else value for value in law])
+    """Return the constants of a law as an array; not a number for those that it lacks (None)."""
+    return np.array(law, dtype=np.float64)
 
 
 def law_type(law: Any) -> Any:
@@ -61,7 +61,7 @@ def velocities(kind, kernel, cells, pairs, values, position, elapsed, rows, out)
 
 
 @njit(**ADDRESSED)
-def missed_contact(kind, values, cells, pairs, rows, path, elapsed, dt, moved, tolerance):
+def missed_among_all(kind, values, cells, pairs, rows, path, elapsed, dt, moved, tolerance):
     """Do what :func:`.forces.missed_contact` does, of all pairs; a cell moves ``moved`` radii."""
     largest, growth = 0.0, 0.0
     radius, rate = cells.radius, cells.radius_rate
@@ -80,4 +80,4 @@ def missed_contact(kind, values, cells, pairs, rows, path, elapsed, dt, moved, t
 
 _forces_at = called_at(8, lambda *_: types.boolean, frozen=3)
 velocities_at = called_at(9, lambda *_: types.boolean)
-missed_contact_at = called_at(10, lambda *_: types.float64)
+missed_among_all_at = called_at(10, lambda *_: types.float64)

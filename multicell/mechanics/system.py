@@ -126,6 +126,7 @@ class Mechanics:
             self._period[0] = self.period
             np.divide(1.0, self.period, out=self._period[1], where=self.period > 0.0)
         self.neighbours = NeighbourList(np.empty(0), 0.0)
+        self._laws: dict[bool, Any] = {}
         self._cells: forces.CellData
         self._pair_data: forces.PairData
         self._linear: Linearisation | None = None
@@ -141,12 +142,9 @@ class Mechanics:
         n = len(motion.radius)
         bonded = motion.bonds is not None
         width = 7 if bonded else 5
-        law = self.law.constants()._replace(
-            adhesion_constant=self.law.adhesion,
-            bond_strength=self.bond_strength if bonded else None,
-            medium_drag=self.drag,
-        )
-        self._law = law._make(None if value is None else float(value) for value in law)
+        if bonded not in self._laws:
+            self._laws[bonded] = self._constants(bonded)
+        self._law = self._laws[bonded]
         self._rows = np.zeros((n, width))
         self._rows[:, COMPLIANCE] = compliance(motion.young, motion.poisson)
         largest = np.maximum(motion.radius, motion.end_radius)
@@ -185,6 +183,15 @@ class Mechanics:
             from multicell.mechanics.prescribed import Prescribed
 
             self.prescribed = Prescribed(motion.held, motion.velocity, motion.begin)
+
+    def _constants(self, bonded: bool) -> Any:
+        """Return the constants of the law, floats, for cells with receptors or without."""
+        law = self.law.constants()._replace(
+            adhesion_constant=self.law.adhesion,
+            bond_strength=self.bond_strength if bonded else None,
+            medium_drag=self.drag,
+        )
+        return law._make(None if value is None else float(value) for value in law)
 
     @property
     def _is_too_wide(self) -> bool:

@@ -121,19 +121,8 @@ class ContactWatch:
         # radii change, and gaps below the tolerance are looked at wherever cells go
         slack = motion.fastest_growth * (abs(begin - self._since) + dt) + 0.5 * tolerance
         (cells, data, law, rows), step = kernel, (begin - motion.begin, dt)
-        forming, self._known, renewed = _look(
-            self._watched,
-            self._known,
-            cells.radius,
-            cells.radius_rate,
-            data,
-            rows,
-            path,
-            *step,
-            way,
-            slack,
-            tolerance,
-        )
+        given = cells.radius, cells.radius_rate, data, rows, path, *step, way, slack, tolerance
+        forming, self._known, renewed = _look(self._watched, self._known, *given)
         if renewed:
             self._since = end
         if forming == 0:

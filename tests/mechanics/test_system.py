@@ -22,6 +22,15 @@ def test_velocity_is_force_over_stokes_drag_of_the_growing_radius():
     np.testing.assert_allclose(found, later.force(0.0, position) / drag[:, None], rtol=1e-9)
 
 
+def test_constants_of_a_law_that_has_whole_numbers_are_floats(monkeypatch):
+    """Kernels would be compiled once more for them, and loops hand over arrays of floats."""
+    whole = JKR(smoothing=1.0).constants()._replace(smoothing=1)
+    monkeypatch.setattr(JKR, "constants", lambda law: whole)
+    system = mechanics(np.full(2, 5.0), np.ones(2), JKR())
+    assert {type(value) for value in system._law} == {float, type(None)}
+    assert system._law.smoothing == 1.0
+
+
 def test_threads_do_not_change_a_bit():
     position, radius, young = cluster(3000, 3)
     vector = np.random.default_rng(0).normal(size=position.shape)
