@@ -20,9 +20,6 @@ import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent / "extensions"))
-# pages are executed side by side, each with one core: more threads give the same bits and wait
-for variable in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-    os.environ.setdefault(variable, "1")
 # executed pages read data and examples beside them
 os.environ["MULTICELL_DOCS"] = str(Path(__file__).resolve().parent)
 
