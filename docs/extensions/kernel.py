@@ -6,6 +6,9 @@ kernels of a build get a profile of their own whose start-up file makes it raise
 Kernels are reached through sockets that are files in that profile. Jupyter looks for five free
 ports of the machine before a kernel takes them; where many start at once, two get the same one, a
 kernel dies, and Sphinx then ends every page that is being read.
+
+Pages are executed side by side, and each has one thread: more would wait for each other on the
+same cores, and give the same bits.
 """
 
 import functools
@@ -39,6 +42,7 @@ def _system_that_raises():
 
 _system_that_raises()
 """
+THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 COMMAND = """#!/bin/sh
 exec "{python}" -m multicell "$@"
 """
@@ -74,6 +78,8 @@ def profile(app: Sphinx) -> None:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Tell Sphinx when to do it."""
+    for name in THREADS:
+        os.environ.setdefault(name, "1")
     app.connect("builder-inited", profile)
     if os.name == "posix":  # elsewhere ZeroMQ has no sockets that are files, and Sphinx one process
         direct.single_nb_execution = functools.partial(

@@ -1,10 +1,12 @@
 """Results of the documentation's own extensions of Sphinx."""
 
 import importlib
+import os
 import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from page_commands import ROOT
@@ -108,6 +110,18 @@ def test_lines_of_cells_that_fail_raise(tmp_path, extension):
     ]
     assert "CalledProcessError" not in answers[0].stdout
     assert "CalledProcessError" in answers[1].stdout
+
+
+def test_executed_pages_have_a_thread_each_unless_another_number_is_set(monkeypatch, extension):
+    direct = pytest.importorskip("myst_nb.core.execute.direct")
+    kernel = extension("kernel")
+    monkeypatch.setattr(direct, "single_nb_execution", direct.single_nb_execution)
+    for name in kernel.THREADS:
+        monkeypatch.setenv(name, "1")  # which the end of the test puts back
+        monkeypatch.delenv(name)
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "3")
+    kernel.setup(SimpleNamespace(connect=lambda *_: None))
+    assert [os.environ[name] for name in kernel.THREADS] == ["3", "1", "1"]
 
 
 def test_titles_of_examples_are_underlined():
