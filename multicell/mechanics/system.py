@@ -125,6 +125,7 @@ class Mechanics:
             self._period[0] = self.period
             np.divide(1.0, self.period, out=self._period[1], where=self.period > 0.0)
         self.neighbours = NeighbourList(np.empty(0), 0.0)
+        self._bound: tuple[PairLaw, bool, Any] | None = None
         self._cells: forces.CellData
         self._pair_data: forces.PairData
         self._linear: Linearisation | None = None
@@ -140,11 +141,7 @@ class Mechanics:
         n = len(motion.radius)
         bonded = motion.bonds is not None
         width = 7 if bonded else 5
-        self._law = self.law.constants()._replace(
-            adhesion_constant=self.law.adhesion,
-            bond_strength=float(self.bond_strength) if bonded else None,
-            medium_drag=self.drag,
-        )
+        self._law = self._constants(bonded=bonded)
         self._rows = np.zeros((n, width))
         self._rows[:, COMPLIANCE] = compliance(motion.young, motion.poisson)
         largest = np.maximum(motion.radius, motion.end_radius)
@@ -183,6 +180,17 @@ class Mechanics:
             from multicell.mechanics.prescribed import Prescribed
 
             self.prescribed = Prescribed(motion.held, motion.velocity, motion.begin)
+
+    def _constants(self, *, bonded: bool) -> Any:
+        """Return the law as kernels take it; nothing in it changes from step to step."""
+        known = self._bound
+        if known is None or known[0] is not self.law or known[1] != bonded:
+            strength = float(self.bond_strength) if bonded else None
+            drag, own = self.drag, self.law.adhesion
+            found = self.law.constants()
+            found = found._replace(adhesion_constant=own, bond_strength=strength, medium_drag=drag)
+            self._bound = known = self.law, bonded, found
+        return known[2]
 
     @property
     def _is_too_wide(self) -> bool:
