@@ -64,6 +64,7 @@ from numba.core.event import install_recorder
 from numba.core.pythonapi import _boxers
 from numba.core.runtime.nrt import rtsys
 from numba.core.typing.templates import _OverloadFunctionTemplate
+from numba.cpython import hashing  # noqa: F401 - names symbols that code from disk may ask for
 from numba.np import linalg
 from numba.np.numpy_support import as_dtype
 
@@ -169,12 +170,9 @@ def _data_of(cache: Any, name: str) -> Any:
     was executed as text) or may be gone.
     """
     try:
-        found = _plain_data(cache, name) if is_own(cache._data_path(name)) else None  # type: ignore[no-untyped-call]
+        return _plain_data(cache, name) if is_own(cache._data_path(name)) else None  # type: ignore[no-untyped-call]
     except ModuleNotFoundError:
         return None
-    if found is not None and b"hashsecret" in found[0][2][0]:
-        from numba.cpython import hashing  # noqa: F401 - the only one to name symbols when imported
-    return found
 
 
 _plain_load: Any = caching.Cache.load_overload
@@ -184,7 +182,7 @@ def _load_overload(cache: Any, types_of: Any, target: Any) -> Any:
     """Return compiled code of ours from disk, with no tables of what compiles; None without it."""
     if not _is_ours(cache._py_func):
         return _plain_load(cache, types_of, target)
-    rtsys.initialize(target)  # type: ignore[no-untyped-call]
+    rtsys.initialize(target)
     with cache._guard_against_spurious_io_errors():
         return cache._load_overload(types_of, target)
 
