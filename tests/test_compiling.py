@@ -167,6 +167,50 @@ def test_code_on_disk_for_a_type_that_is_gone_is_compiled_anew(tmp_path):
     assert hits == [0, 0, 1]
 
 
+FROM_DISK = """
+import sys
+
+import numpy as np
+from numba import njit
+
+from multicell.nutrient import stencil
+
+{function}
+half = stencil.flat_dot(np.ones(3), np.full(3, 0.5)), {call}
+tables = "numba.np.arraymath" in sys.modules
+rest = njit(lambda x: np.sort(x)[0] + stencil.flat_dot(x, x))(np.array([2.0, 1.0]))
+print(*half, rest, tables)
+"""
+HASHES = """
+@njit(cache=True)
+def hashes(x):
+    return hash("multicell") + x
+
+hashes.py_func.__module__ = "multicell.compiling"
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("function", "call"), [("", 1.5), (HASHES, "hashes(2)")])
+def test_code_from_disk_is_run_without_what_compiles(tmp_path, function, call):
+    """Numba imports the half of itself for it; and what is compiled after it finds all there is."""
+    program = tmp_path / "kernels.py"
+    program.write_text(FROM_DISK.format(function=function, call=call))
+    cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONHASHSEED": "3"}
+    seen = []
+    for _ in range(2):
+        done = subprocess.run(
+            [sys.executable, str(program)], cwd=tmp_path, capture_output=True, text=True,
+            env={**os.environ, **cache}, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr[-1500:]
+        seen.append(done.stdout.split())
+    assert seen[0][:3] == seen[1][:3]
+    assert seen[1][0] == "1.5"
+    assert seen[1][2] == "6.0"
+    assert [words[3] for words in seen] == ["True", "False"]
+
+
 def test_loops_and_python_share_the_forces():
     sim = mc.Simulation(mc.load_scene("doublet"))
     sim.step()

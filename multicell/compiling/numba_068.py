@@ -28,6 +28,12 @@ functions                               callers, as ours are; each would be opti
                                         which ``objmode`` and exceptions with values need.
 collector of garbage         speed      numba makes millions of objects that live until it is done:
                                         8 % of the first command.
+tables for compilation       start      numba fills them, and imports what it compiles them from,
+                                        before it loads code from disk too, which only runs; whoever
+                                        compiles fills them first. 0.15 s of each further command.
+extensions of others         start      numba asks all packages for them before it looks at the
+                                        arguments of a function; ours have no types of others. What
+                                        compiles asks all the same. 0.03 s.
 SciPy's BLAS                 start      numba imports ``scipy.linalg`` to ask whether it is there;
                                         it is loaded when a kernel calls it: 0.1 s of each command
                                         (0.8 % of the first).
@@ -53,9 +59,12 @@ from numba import types
 from numba.core import boxing, caching, cgutils, config, event
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.dispatcher import Dispatcher
 from numba.core.event import install_recorder
 from numba.core.pythonapi import _boxers
+from numba.core.runtime.nrt import rtsys
 from numba.core.typing.templates import _OverloadFunctionTemplate
+from numba.cpython import hashing  # noqa: F401 - names symbols that code from disk may ask for
 from numba.np import linalg
 from numba.np.numpy_support import as_dtype
 
@@ -166,6 +175,32 @@ def _data_of(cache: Any, name: str) -> Any:
         return None
 
 
+_plain_load: Any = caching.Cache.load_overload
+
+
+def _load_overload(cache: Any, types_of: Any, target: Any) -> Any:
+    """Return compiled code of ours from disk, with no tables of what compiles; None without it."""
+    if not _is_ours(cache._py_func):
+        return _plain_load(cache, types_of, target)
+    rtsys.initialize(target)
+    with cache._guard_against_spurious_io_errors():
+        return cache._load_overload(types_of, target)
+
+
+_Dispatcher: Any = Dispatcher
+_plain_hook = _Dispatcher._compilation_chain_init_hook
+
+
+def _hook(dispatcher: Any) -> None:
+    """Let other packages bring their types to numba where a function is not of ours."""
+    if not _is_ours(dispatcher.py_func):
+        _plain_hook(dispatcher)
+
+
+def _is_ours(function: Any) -> bool:
+    return str(function.__module__).startswith("multicell.")
+
+
 def is_on_disk(dispatcher: Any) -> bool:
     """Return whether numba's cache has code of a kernel, for any arguments, of today's files."""
     return bool(dispatcher._cache._cache_file._load_index())
@@ -228,6 +263,8 @@ def change_numba(stamp_of: Callable[[str], Any]) -> None:
     locator.get_source_stamp = stamp
     index: Any = caching.IndexDataCacheFile
     index._load_index, index._load_data = _index_of, _data_of
+    caching.Cache.load_overload = _load_overload  # type: ignore[method-assign]
+    _Dispatcher._compilation_chain_init_hook = _hook
     template: Any = _OverloadFunctionTemplate
     template._get_jit_decorator = _jit_of_overloads
     _boxers.functions |= {

@@ -39,11 +39,11 @@ def typed(**options: Any) -> Callable[[_F], _F]:
     return cast(Callable[[_F], _F], njit(**options))
 
 
-def arithmetic(body: Callable[..., Any]) -> Any:
+def arithmetic(body: Callable[..., Any], **options: Any) -> Any:
     """Compile a function that both Python and compiled code call, apart for each of them.
 
     Most runs have one kind of callers, and only that is compiled.
     """
-    outside, inside = njit(**KERNEL)(body), njit(**INNER)(body)
+    outside, inside = njit(**KERNEL, **options)(body), njit(**INNER, **options)(body)
     outside.get_call_template, outside.get_overload = inside.get_call_template, inside.get_overload
     return outside

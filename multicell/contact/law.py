@@ -218,10 +218,10 @@ class PairLaw(ABC):
             return function.whole(overlap, modulus, radius, constants, *own)
 
         arrays = [overlap, modulus, radius, *(further[name] for name in function.further)]
-        columns = [np.asarray(column, dtype=float) for column in arrays]
-        if not any(column.ndim for column in columns):  # of one pair: the machinery costs tenfold
-            force, stiffness, energy = one(*map(float, columns))
+        if not any(map(np.ndim, arrays)):  # of one pair: the machinery costs tenfold
+            force, stiffness, energy = one(*map(float, arrays))
         else:
+            columns = [np.asarray(column, dtype=float) for column in arrays]
             force, stiffness, energy = np.frompyfunc(one, len(columns), 3)(*columns)
         return _floats(force), _floats(stiffness), _floats(energy)
 

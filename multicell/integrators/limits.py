@@ -15,6 +15,8 @@ is too large.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from multicell.cells import FloatArray
@@ -38,7 +40,7 @@ def norm_share(cells: int) -> float:
     The mean hides single cells: one daughter among thousands of cells at rest may be wrong by many
     tolerances in a step. Few cells get 1/√(3n), with which the mean bounds each of them.
     """
-    return max(_SHARE, 1.0 / float(np.sqrt(3.0 * max(cells, 1))))
+    return max(_SHARE, 1.0 / math.sqrt(3.0 * max(cells, 1)))
 
 
 def stiffness_scale(system: Mechanics) -> float:

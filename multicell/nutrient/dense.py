@@ -14,13 +14,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
-from multicell.compiling import INNER, KERNEL, typed
+from multicell.compiling import INNER, KERNEL, arithmetic, typed
+from multicell.nutrient import stencil
 
 Float32Array = NDArray[np.float32]
 _jit = typed(**KERNEL)
@@ -99,38 +100,74 @@ class Inverse:
     def __init__(self, halves: Sequence[tuple[Float32Array, FloatArray]], stiffness: float) -> None:
         (fx, ax), (fy, ay), (fz, az) = halves
         nx, ny, nz = len(ax), len(ay), len(az)
-        self._first = nx, ny * nz
-        a, b = np.empty((2, nx * ny * nz), dtype=np.float32)
-        self._given = (
-            a.reshape(nx, -1),
-            a.reshape(ny, -1),
-            a.reshape(nz, -1),
-            a.reshape(-1, nz),
-            b.reshape(ny, -1),
-            b.reshape(nz, -1),
-            fx,
-            fy,
-            fz,
-            stiffness * ax,
-            stiffness * ay,
-            stiffness * az,
-        )
+        self._room = np.empty((2, nx * ny * nz), dtype=np.float32)
+        along = stiffness * ax, stiffness * ay, stiffness * az
+        self._of_axes: tuple[Any, ...] = fx, fy, fz, *along
 
     def overwrite(self, y: Float32Array, shift: float) -> float:
         """Overwrite ``y`` (nx, ny, nz) with u, and return y . u; ``shift`` is in 1/s."""
-        return float(_invert(y.reshape(self._first), shift, *self._given))
+        return float(_invert(y, shift, self._room, *self._of_axes))
+
+    def iterate(self, *system: Any) -> int:
+        """Solve by conjugate gradients as :func:`_iterate` does; return the number of steps."""
+        given = *system, self._room, *self._of_axes
+        return int(_iterate(*given))
 
 
 @_jit
+def _iterate(
+    rate: FloatArray,
+    residual: FloatArray,
+    varied: FloatArray | None,
+    stiffness: float,
+    ghost: FloatArray,
+    weights: stencil.Weights,
+    size: float,
+    goal: float,
+    work: FloatArray,
+    y: Float32Array,
+    uptake_shift: float,
+    room: Float32Array,
+    fx: Float32Array,
+    fy: Float32Array,
+    fz: Float32Array,
+    lx: FloatArray,
+    ly: FloatArray,
+    lz: FloatArray,
+) -> int:
+    """Solve (-D L0 + rate) x = residual in one call: on few nodes calls take longer than the work.
+
+    - ``size``, ``goal``: of the residual's norm, and the square of the part of it to be left
+    - ``work``, (5, nodes): x first; ``y``, (nx, ny, nz)
+    - ``uptake_shift``: the preconditioner's, over the mean of the rates
+    """
+    x, r, p, q, scale = work[0], work[1], work[2], work[3], work[4]
+    direction, image, flat = p.reshape(rate.shape), q.reshape(rate.shape), y.reshape(y.size)
+    rates, left = rate.reshape(rate.size), residual.reshape(rate.size)
+    weight = None if varied is None else varied.reshape(rate.size)
+    total = stencil.begin(rates, left, weight, 0.5 / stiffness, size, x, r, p, scale, flat)
+    shift = uptake_shift * total / rate.size
+    rho, beta, steps = _invert(y, shift, room, fx, fy, fz, lx, ly, lz), 0.0, 0
+    while steps < stencil.MAX_CG:
+        stencil.new_direction(p, flat, scale, beta)
+        curvature = stencil.apply_operator(direction, rate, stiffness, ghost, weights, image)
+        if not curvature > 0.0:  # single precision has no smaller numbers
+            break
+        steps += 1
+        if not stencil.update_residual(rho / curvature, x, p, r, q, scale, flat) > goal:
+            break
+        following = _invert(y, shift, room, fx, fy, fz, lx, ly, lz)
+        beta, rho = following / rho, following
+    for n in range(x.size):
+        x[n] *= size
+    return steps
+
+
+@arithmetic
 def _invert(
-    u: Float32Array,
+    y: Float32Array,
     shift: float,
-    ax: Float32Array,
-    ay: Float32Array,
-    az: Float32Array,
-    a: Float32Array,
-    by: Float32Array,
-    bz: Float32Array,
+    room: Float32Array,
     fx: Float32Array,
     fy: Float32Array,
     fz: Float32Array,
@@ -138,18 +175,19 @@ def _invert(
     ly: FloatArray,
     lz: FloatArray,
 ) -> float:
-    """Do it; ``ax``, ``ay``, ``az`` and ``a`` are the same memory, and ``by`` and ``bz`` are.
-
-    Their shapes are (nx, ny nz), (ny, nx nz), (nz, ny nx) and (ny nx, nz).
-    """
+    """Do what :meth:`Inverse.overwrite` does, with ``room``, (2, nodes)."""
+    nx, ny, nz = y.shape
+    u, a, b = y.reshape((nx, ny * nz)), room[0], room[1]
+    ax, ay, az = a.reshape((nx, ny * nz)), a.reshape((ny, nx * nz)), a.reshape((nz, ny * nx))
+    by, bz, turned = b.reshape((ny, nx * nz)), b.reshape((nz, ny * nx)), a.reshape((ny * nx, nz))
     _forward(fx, u, ax)
     _swap(ax, by)
     _forward(fy, by, ay)
-    _turn(a, bz)
+    _turn(turned, bz)
     _forward(fz, bz, az)
     product = _divide(az, lx, ly, lz, shift)
     _backward(fz, az, bz)
-    _turn(bz, a)
+    _turn(bz, turned)
     _backward(fy, ay, by)
     _swap(by, ax)
     _backward(fx, ax, u)

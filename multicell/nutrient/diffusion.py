@@ -56,6 +56,7 @@ class Diffusion:
     - ``const``, (6,), mM: what the conditions add
     - ``source``, (nx, ny, nz), mM/s: what they bring to the nodes where the coefficient is that of
       tissue
+    - ``dense``: the inverse on few nodes; None on others
     - ``multigrid``: of the last solve on :data:`.steady.KEPT_NODES` and more: to get new memory of
       the system takes as long as to solve in it
     """
@@ -115,14 +116,16 @@ class Diffusion:
         self._sides, self.multigrid = _sides(self.shape, *zip(*found, strict=True)), None
         self.ghost, self.const = self._sides.ghost, self._sides.const
         brought = self._sides.brought
-        self.source = _brought(self.shape, self.const) if brought is None else brought.copy()
-        self.source *= self.stiffness
+        brought = _brought(self.shape, self.const) if brought is None else brought
+        self.source = brought * self.stiffness
         halves = self._sides.halves
-        self._dense = dense.Inverse(halves, self.stiffness) if halves else None
+        self.dense = dense.Inverse(halves, self.stiffness) if halves else None
 
     def take_over(self, before: Diffusion) -> None:
         """Continue in the memory of another one, if all that differs is the distance of nodes."""
-        alike = self.shape == before.shape and np.array_equal(self.ghost, before.ghost)
+        if before.multigrid is None or self.shape != before.shape:
+            return
+        alike = np.array_equal(self.ghost, before.ghost)
         if alike and self.varied is None and before.varied is None:
             self.multigrid, before.multigrid = before.multigrid, None
 
@@ -144,8 +147,8 @@ class Diffusion:
         L0 is the Laplacian with zero on the faces and a uniform coefficient. Returns u, which takes
         the memory of ``y``, and y . u.
         """
-        if self._dense is not None and y.dtype == np.float32:
-            return y, self._dense.overwrite(y, shift)
+        if self.dense is not None and y.dtype == np.float32:
+            return y, self.dense.overwrite(y, shift)
         ax, ay, az = self.eigenvalues
         spectrum = _transform(y, self.kinds, inverse=False)
         product = stencil.divide_spectrum(spectrum, ax, ay, az, shift)

@@ -38,8 +38,9 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple, final
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 
@@ -94,6 +95,10 @@ UPTAKE_SHIFT = 1.0
 """The preconditioner's uniform uptake, relative to the mean of the linearised uptake."""
 
 
+_Law = tuple[Any, Any, float, float, float, Any, Any, Any, float]
+"""Sinks, sources and coefficients, as the loops of :mod:`.stencil` take them."""
+
+
 class StepRefused(Exception):  # noqa: N818 - a shorter step may do
     """A step in time whose equations were not solved."""
 
@@ -145,8 +150,10 @@ def solve_steady(
     repeats = None in operator.kinds
     if few or repeats:
         problem = _Problem(operator, sink, half_saturation, linear, supply, None)
+        if operator.exchange is None or repeats:
+            return _solve(problem, start, _Linear(operator))
         quickest = float(sink.max(initial=0.0)) / (half_saturation * operator.stiffness)
-        if operator.exchange is None or repeats or quickest > MAX_SINGLE:
+        if quickest > MAX_SINGLE:
             return _solve(problem, start, _Linear(operator))
     from multicell.nutrient.multigrid import MultigridSolver
 
@@ -243,14 +250,17 @@ class _Problem:
     def __post_init__(self) -> None:
         faces = self.operator.brought()
         self.source = faces if self.supply is None else faces + self.supply
+        op = self.operator
+        own = self.sink, self.source, self.half, op.stiffness, self.linear
+        self.law: _Law = *own, op.ghost, op.weights, op.exchange, op.level
 
     def balance_ends(self, c: FloatArray) -> None:
         """Improve a guess where a layer of medium ends; see :func:`.stencil.balance_ends`."""
         op = self.operator
         if op.exchange is None:
             return
-        about = self.sink, self.source, self.half, op.stiffness, self.linear, op.ghost, op.weights
-        stencil.balance_ends(c, *about, op.exchange, op.level, op.largest_exchange)
+        given = c, *self.law, op.largest_exchange
+        stencil.balance_ends(*given)
 
 
 @final
@@ -267,35 +277,32 @@ class _State:
 
     def evaluate(self) -> None:
         """Bring all up to date with ``c``."""
-        problem, op = self.problem, self.problem.operator
-        squares, self.total, size, self.net, self.change = stencil.write_imbalance(
-            self.c,
-            problem.sink,
-            problem.source,
-            problem.half,
-            op.stiffness,
-            problem.linear,
-            op.ghost,
-            op.weights,
-            op.exchange,
-            op.level,
-            self.residual,
-            self.rate,
-            problem.team,
-        )
-        self.size, self.norm = math.sqrt(squares), math.sqrt(size)
-
-    def move(self, c: FloatArray, correction: stencil.Floats, share: float) -> None:
-        """Become ``c`` and a share of a correction."""
-        if self.problem.team is None:
-            np.multiply(correction, share, out=self.c)
-            self.c += c
+        team = self.problem.team
+        if team is None:
+            self.move(self.c, self.c, 0.0)
         else:
-            from multicell.nutrient.multigrid_kernels import add_correction
+            law = self.problem.law
+            self._take(stencil.write_imbalance(self.c, *law, self.residual, self.rate, team))
 
-            light = stencil.teams(self.problem.team, c.size)[1]
-            light.share(add_correction, len(c), c, correction, share, self.c)
+    def move(self, c: FloatArray, correction: stencil.Floats, share: float) -> float:
+        """Become ``c`` and a share of a correction; return the imbalance's product with that."""
+        team = self.problem.team
+        if team is None:
+            law, along = self.problem.law, np.asarray(correction, dtype=np.float64)
+            own: tuple[Any, Any, Any] = self.c, self.residual, self.rate
+            product, *sums = stencil.imbalance_there(c, along, share, *law, *own)
+            self._take(sums)
+            return product
+        from multicell.nutrient.multigrid_kernels import add_correction
+
+        light = stencil.teams(team, c.size)[1]
+        light.share(add_correction, len(c), c, correction, share, self.c)
         self.evaluate()
+        return self.along(correction)
+
+    def _take(self, sums: Sequence[float]) -> None:
+        squares, self.total, size, self.net, self.change = sums
+        self.size, self.norm = math.sqrt(squares), math.sqrt(size)
 
     def along(self, correction: stencil.Floats) -> float:
         """Return the product of the imbalance and a correction."""
@@ -311,21 +318,7 @@ class _State:
         """Bring nodes left below zero to their own balance; return whether none is left."""
         if not self.c.min(initial=0.0) < 0.0:
             return True
-        problem, op = self.problem, self.problem.operator
-        left = stencil.balance_negative(
-            self.c,
-            problem.sink,
-            problem.source,
-            problem.half,
-            op.stiffness,
-            problem.linear,
-            op.ghost,
-            op.weights,
-            op.exchange,
-            op.level,
-            self.uncertainty(),
-            MAX_SWEEPS,
-        )
+        left = stencil.balance_negative(self.c, *self.problem.law, self.uncertainty(), MAX_SWEEPS)
         self.evaluate()
         return bool(left == 0)
 
@@ -395,8 +388,7 @@ def _search(state: _State, trial: _State, correction: stencil.Floats) -> None:
     slope = state.along(correction)
     share = 1.0
     for _ in range(MAX_BACKTRACKS):
-        trial.move(state.c, correction, share)
-        there = trial.along(correction)
+        there = trial.move(state.c, correction, share)
         if not there < -0.9 * slope:
             return
         share *= max(slope / (slope - there), 0.25)
@@ -422,6 +414,12 @@ class _Linear:
         if self.newton == 0:  # a field that is solved already needs no arrays
             self._work = np.empty((5, math.prod(shape)))
             self._single = np.empty(shape, dtype=np.float32)
+        if op.dense is not None:
+            system = rate, residual, op.varied, op.stiffness, op.ghost, op.weights
+            goals = size, goal**2, self._work, self._single
+            self.cg += op.dense.iterate(*system, *goals, UPTAKE_SHIFT)
+            self.newton += 1
+            return np.asarray(self._work[0].reshape(shape))
         x, r, p, q, scale = self._work
         varied = None if op.varied is None else op.varied.ravel()
         total = stencil.begin(

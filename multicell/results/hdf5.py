@@ -636,10 +636,13 @@ class File:
     def history(self) -> dict[str, NDArray[np.float64]]:
         """Return the history by column, (m,) each."""
         with self._again() as file:
-            columns = {name: file["history"][name][()] for name in self.columns}
-            if array_digest(columns) != int(file["history"].attrs["digest"]):
-                problem = f"the history in '{self.path}' is not what was written"
-                raise OutputError(problem, damaged=True)
+            return self._history(file["history"])
+
+    def _history(self, group: Any) -> dict[str, NDArray[np.float64]]:
+        columns = {name: group[name][()] for name in self.columns}
+        if array_digest(columns) != int(group.attrs["digest"]):
+            problem = f"the history in '{self.path}' is not what was written"
+            raise OutputError(problem, damaged=True)
         return columns
 
     def frame(self, place: int) -> Arrays:
@@ -649,8 +652,8 @@ class File:
 
     def check(self) -> None:
         """Read all of it once; raises OutputError if something is not what was written."""
-        self.history()
         with self._again() as file:
+            self._history(file["history"])
             columns = _Columns(file)
             for place in range(len(self.digests)):
                 self._frame(columns, place)

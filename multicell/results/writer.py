@@ -56,6 +56,7 @@ from multicell.results.folder import (
     LIVE,
     PASSING,
     RUN_FILES,
+    begun_files,
     copied_files,
     copy_of,
     file_errors,
@@ -263,6 +264,8 @@ class Store:
 
 def _is_begun(folder: Path, scene: Scene) -> bool:
     """Return whether a folder holds the same run, which has ended before its first frame."""
+    if not begun_files(folder):  # as for most runs, which need no text of the scene to say so
+        return False
     copied, content = copy_of(scene, folder)
     text = copied.to_toml(versions(), beside=folder)
     first: dict[str, bytes | str] = {**content, "scene.toml": text, JOURNAL: b""}

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import is_dataclass
 from difflib import get_close_matches
+from functools import lru_cache
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
@@ -599,20 +600,26 @@ _KEY = re.compile(r'("(?:[^"\\]|\\.)*"|[\w-]+) = ')
 
 def with_units(scene: Scene, toml: str) -> str:
     """Return TOML text with the unit of each quantity as a comment behind it."""
-    import tomllib
-
     units = {path: spec.units for path, _, spec in leaves(scene)}
     lines: list[str] = []
     table: tuple[str, ...] = ()
     for line in toml.splitlines():
         if line.startswith("["):
-            table = _keys(tomllib.loads(line))
+            table = _path(line)
         key = _KEY.match(line)
-        unit = units.get((*table, *_keys(tomllib.loads(f"{key[0]}0"))), "") if key else ""
+        unit = units.get((*table, *_path(f"{key[0]}0")), "") if key else ""
         if unit.startswith("[") and not line.endswith("["):
             unit = ""  # a course that is one number
         lines.append(f"{line}  # {unit}" if unit else line)
     return "\n".join(lines) + "\n"
+
+
+@lru_cache(maxsize=1024)  # the runs of a study have the same keys
+def _path(line: str) -> tuple[str, ...]:
+    """Return the path of the keys of a line of TOML."""
+    import tomllib
+
+    return _keys(tomllib.loads(line))
 
 
 def _keys(entries: Any) -> tuple[str, ...]:

@@ -67,6 +67,23 @@ def test_a_steady_field_of_few_nodes_is_that_of_a_direct_solver(half):
     assert report.residual < 2e-9 * taken
 
 
+@pytest.mark.parametrize("varied", [False, True])
+def test_one_compiled_call_takes_the_steps_of_transforms(varied):
+    """Conjugate gradients with matrix products in one call, and with SciPy's transforms."""
+    shape, level = (9, 8, 7), 0.07
+    rng = np.random.default_rng(6)
+    coefficient = 0.5 + rng.random(shape) if varied else None
+    operator = Diffusion(Box((0.0, 0.0, 0.0), shape, 10.0), D, level, varied=coefficient)
+    sink = np.where(rng.random(shape) < 0.3, 2.0 * rng.random(shape), 0.0)
+    start = np.full(shape, level)
+    first, one = solve_steady(operator, sink, 0.005, start)
+    operator.dense = None
+    second, other = solve_steady(operator, sink, 0.005, start)
+    assert (one.newton, one.cg) == (other.newton, other.cg)
+    assert one.cg > one.newton > 1
+    np.testing.assert_allclose(first, second, rtol=0, atol=1e-9 * level)
+
+
 def test_numbers_of_nodes_are_those_that_scipy_transforms_fast():
     for needed in range(1, 2500):
         assert _fast(float(needed)) == next_fast_len(max(2, needed), real=False)

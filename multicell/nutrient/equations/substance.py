@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -65,14 +66,14 @@ class Schedule:
             slope[:-1] = np.diff(start) / np.diff(times)
         return cls(times, start, slope)
 
-    @property
+    @cached_property
     def constant(self) -> bool:
         """Whether the concentration never changes."""
-        return len(self.times) == 1 and self.slope[0] == 0.0
+        return len(self.times) == 1 and bool(self.slope[0] == 0.0)
 
     def at(self, t: float) -> float:
         """Return the concentration at a time in s, mM: that of the last piece that has begun."""
-        if len(self.times) == 1 and self.slope[0] == 0.0:
+        if self.constant:
             return float(self.start[0])  # asked for often in each step, of most fields
         piece = max(int(np.searchsorted(self.times, t, side="right")) - 1, 0)
         if self.slope[piece] == 0.0:

@@ -24,7 +24,7 @@ class _Landmark(NamedTuple):
 
 _LANDMARKS: Final = {
     "random numbers": _Landmark("philox", "philox_blocks", 0.7),
-    "fields": _Landmark("nutrient.stencil", "apply_operator", 17.0),
+    "fields": _Landmark("nutrient.stencil", "account", 17.0),
     "motion": _Landmark("mechanics.forces", "forces", 9.0),
     "forces": _Landmark("mechanics.forces", "forces", 4.5),
     "neighbour lists": _Landmark("mechanics.neighbours.repairing", "repair", 6.5),
