@@ -35,9 +35,9 @@ settings.load_profile("multicell")
 
 def pytest_addoption(parser):
     group = parser.getgroup("multicell", "how long the harnesses search")
-    group.addoption("--scenes", type=int, default=80, help="scenes drawn and loaded")
-    group.addoption("--runs", type=int, default=8, help="small scenes drawn and run")
-    group.addoption("--draws", type=int, default=8, help="scenes with parts and methods")
+    group.addoption("--scenes", type=int, default=40, help="scenes drawn and loaded")
+    group.addoption("--runs", type=int, default=5, help="small scenes drawn and run")
+    group.addoption("--draws", type=int, default=5, help="scenes with parts and methods")
     group.addoption("--first-seed", type=int, default=0, help="of what is drawn; others each time")
     group.addoption("--kills", type=int, default=2, help="runs that are killed")
     group.addoption("--full-disks", type=int, default=2, help="runs on a disk that gets full")

@@ -276,14 +276,17 @@ def scene_of(case, viscosity, steps, count=50):
     return mc.load_scene("growth").with_changes(changes)
 
 
-def recorded(case, viscosity, steps, seed=1):
-    """Return a step-wise problem: coupling steps of a run with the states they start from."""
+def recorded(case, viscosity, steps, seed=1, method=None):
+    """Return a step-wise problem: coupling steps of a run with the states they start from.
+
+    - ``method``: of the run, by default Runge-Kutta-Chebyshev to 0.01 µm
+    """
     scene = scene_of(case, viscosity, steps).with_changes({"seed": seed})
     cells = mc.Simulation(scene).cells
     if case == "unlike sizes":
         halves = np.where(np.arange(len(cells)) % 2, 1.0, 0.5)
         cells = replace(cells, radius=halves * cells.radius)
-    return record(scene, Rkc2(atol=0.01), samples=10**6, cells=cells, threads=1)[0]
+    return record(scene, method or Rkc2(atol=0.01), samples=10**6, cells=cells, threads=1)[0]
 
 
 class Truth:

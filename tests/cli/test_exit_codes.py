@@ -86,7 +86,18 @@ def done(tmp_path_factory):
     return place
 
 
-@pytest.mark.parametrize("name", [name for name in WRITING if name != "study run"])
+DRAWN = ("run", "movie", "movie in space")
+"""What draws for long before it writes; short tests have others that draw."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name in DRAWN else name
+        for name in WRITING
+        if name != "study run"
+    ],
+)
 def test_a_full_disk_ends_every_command_alike(name, done, tmp_path, monkeypatch):
     if "network" in name:
         pytest.importorskip("sbmlode")

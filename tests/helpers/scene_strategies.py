@@ -519,8 +519,9 @@ def plausible(draw, extreme=0.004, small=True, share=0.45, wanted=()):
     scene = drawer.part(Scene, "") or {"duration": 3600.0}
     # functions of this process, which no scene brings along
     scene.get("output", {}).pop("observables", None)
-    if small:
-        _make_small(drawer, scene)
+    if not small:
+        return scene  # which fits already
+    _make_small(drawer, scene)
     return fitted(scene) or {"duration": 3600.0}
 
 

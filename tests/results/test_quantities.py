@@ -175,7 +175,7 @@ def test_the_scenes_have_all_that_is_declared(runs):
 STATES = {
     "no cells": lambda cells: cells.take(np.arange(0)),
     "two cells in contact": lambda cells: cells.take(np.arange(2)),
-    "cells out of touch": lambda cells: apart(cells, 3.0),
+    "cells out of touch": lambda cells: apart(cells, 1.6),
     "all dead": lambda cells: replace(cells, state=np.full_like(cells.state, State.NECROTIC)),
 }
 
