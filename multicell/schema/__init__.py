@@ -76,7 +76,6 @@ __all__ = [
     "parameters",
     "part_as_dict",
     "place_of_key",
-    "place_of_key",
     "quantities",
     "quantity",
     "schedule",
