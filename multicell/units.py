@@ -93,6 +93,7 @@ PERCENT: Final = ("%", "percent", "per cent")
 """How hundredths are written."""
 
 _AXES: Final = ("um", "s", "nN", "amol", "Gy")
+_UNEVEN: Final = ("month", "months", "mo", "year", "years", "yr", "yrs", "y", "a")
 _PIXELS: Final = ("px", "pixel", "pixels", "voxel", "voxels", "vx")
 
 RANGES = {unit: entry[:2] for unit, entry in _UNITS.items()}
@@ -229,6 +230,8 @@ def is_unit(text: str) -> bool:
 def unit_hint(text: str, unit: str) -> str:
     """Return units that may be meant by a text of another kind than ``unit``; may be empty."""
     names = [name for name, _ in _factors(text) or ()]
+    if unit == "s" and any(name.lower() in _UNEVEN for name in names):
+        return "Months and years differ in length: write days, as '90 d'."
     if any(name.lower() in _PIXELS for name in names):
         return "How many um is a pixel? Multiply by that, and write um."
     if _is_bare_molar(text, unit):
@@ -285,6 +288,8 @@ def _factor(unit_text: str, unit: str, text: str, path: str) -> float:
     if re.match(r",\d", unit_text):
         hint = f"Use '.' as decimal separator. {hint}"
     if not _factors(unit_text):
+        if re.match(r"[-–±+:~]|\.\.|to\b", unit_text):
+            hint = f"{hint} One value has one number; ranges are for --vary, --free and --key."
         raise SceneError(path, f"is {shown(text)}, its unit cannot be read", hint)
     meant = unit_hint(unit_text, unit).replace("mean '", f"mean '{text.replace(unit_text, '')}")
     hint = " ".join(filter(None, (meant, hint, "Capitals matter: kPa, mM, um.")))

@@ -137,7 +137,10 @@ def dose_response_command(
     if data is not None and (pairs or changes or laws or observables):
         raise click.UsageError("--dose, --set, --law and --observable belong to a SCENE.")
     if scene is not None and len(pairs) not in (1, 2):
-        raise click.UsageError(f"--dose is given {len(pairs)} times, must be once or twice.")
+        example = "--dose nutrients.drug.boundary='0,1,3,10 uM'"
+        raise click.UsageError(
+            f"--dose is given {len(pairs)} times, must be once or twice, for example {example}."
+        )
     described = None if scene is None else shared.scene_of(scene, changes, laws)
     from multicell.calibration.dose_response.analysis import (
         LIVING,

@@ -41,7 +41,7 @@ _comparing = shared.grouped(
         metavar="NAMES",
         callback=_names,
         **shared.listed_names(shared.known_methods),
-        help="Methods to compare, separated by commas; by default all that can hold the scene. "
+        help="Methods to compare, separated by commas; by default all that can run the scene. "
         "One of your own is named as mine.py:Midpoint.",
     ),
     click.option(
@@ -50,8 +50,8 @@ _comparing = shared.grouped(
         metavar="[NAME]",
         is_flag=False,
         flag_value="",
-        help="Take the methods of a network inside the cells in place of those of positions; its "
-        "name may be left out where the scene has one.",
+        help="Compare methods for network NAME inside the cells instead of those for positions; "
+        "without NAME for the only one.",
     ),
     shared.threads_option,
     shared.overwrite_option("Replace earlier results."),
@@ -77,7 +77,7 @@ _comparing = shared.grouped(
     "--clock",
     type=click.Choice(["cpu", "wall"]),
     default="cpu",
-    help="Time that ranks the methods: CPU time or wall time.",
+    help="Rank methods by CPU time or wall time.",
 )
 @click.option(
     "--fields",
@@ -85,8 +85,8 @@ _comparing = shared.grouped(
     metavar="[NAME]",
     is_flag=False,
     flag_value="",
-    help="Take the solvers of a field, as nutrients.NAME.solver does, on the run's last coupling "
-    "step; its name may be left out: the first one.",
+    help="Compare solvers of field NAME (nutrients.NAME.solver) on the run's last coupling step; "
+    "without NAME of the first field.",
 )
 @click.option("--repeats", type=click.IntRange(min=1), default=3, help="Timed solves per point.")
 @click.option(
@@ -149,8 +149,8 @@ def stability_command(
     """Find the largest stable step of each method on a SCENE, and how it fails beyond.
 
     Limits are compared with theory; the cells settle first. With --state each method solves
-    coupling steps of runs, in which cells move, and failures are named. Of networks, states of
-    the run are taken as they are.
+    coupling steps of runs, in which cells move, and failures are named. Networks inside cells start
+    from the states of the run.
     """
     options["progress"] = None if quiet else complain
     if states and (scene is not None or network is not None):

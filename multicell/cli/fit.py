@@ -177,7 +177,7 @@ def _checked(found: Fit, name: str, quiet: bool, **options: Any) -> list[Profile
 @shared.output_option("File for the picture: .png, .svg or .pdf.", required=False)
 @shared.valued("--level", default=0.95, help="Confidence of the intervals.")
 @click.option(
-    "--check", "check", is_flag=True, help="Run the ends of the intervals: is the emulator right?"
+    "--check", "check", is_flag=True, help="Run both ends of each interval, to check the emulator."
 )
 @shared.valued("--repeats", default=6, help="Runs with fresh seeds at each end, with --check.")
 @studies.cores_option
@@ -195,9 +195,9 @@ def profile_command(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Print the profile likelihood of each parameter of the fit in FOLDER: which are identified.
+    """Print profile likelihoods of the parameters of the fit in FOLDER, and which are identified.
 
-    Data do not bound an interval whose end is outside the searched range.
+    An interval that reaches an end of the searched range is not bounded by the data.
     """
     from multicell.calibration.fitting.stored import load_fit
     from multicell.calibration.shared.wording import value_in_words

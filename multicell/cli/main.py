@@ -176,7 +176,8 @@ def resume_command(
     from multicell.scene.scene import load_scene
 
     if not (folder / "scene.toml").exists():
-        raise OutputError(f"there are no results in '{folder}': scene.toml is missing")
+        why = "it is a file, not a folder" if folder.is_file() else "scene.toml is missing"
+        raise OutputError(f"there are no results in '{folder}': {why}")
     scene = load_scene(folder / "scene.toml").with_changes(parsed)
 
     def simulate(**how: Any) -> Result:

@@ -221,7 +221,7 @@ specimens_option = valued(
     "--specimens",
     default="same",
     metavar="NAME",
-    help="single: each row is another specimen, measured once, as the column 'specimen' says too.",
+    help="single: each row is another specimen, measured once; a column 'specimen' states it too.",
 )
 
 

@@ -67,5 +67,5 @@ def _factor(scene: Scene) -> tuple[float, str]:
     try:
         made = coarsen(scene, 2.0)
     except SceneError as error:
-        return 1.0, f"Cells have the size of the scene: {error.path} {error.problem}."
+        return 1.0, f"Cells of full size, since {error.path} {error.problem}."
     return 2.0, f"Each cell stands for {made.cells.represents:g}."

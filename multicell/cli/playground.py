@@ -274,7 +274,9 @@ def verdict(history: Mapping[str, NDArray[np.float64]]) -> str:
             return f"{onset} begins {_when(time[some[0]], time[-1])}"
     first, last = history["cells"][[0, -1]]
     if last > first > 0:
-        return f"{last / first:.3g} times as many cells, none quiescent or necrotic"
+        times = last / first
+        many = f"{times:,.0f}" if times >= 100.0 else f"{times:.3g}"
+        return f"{many} times as many cells, none quiescent or necrotic"
     return (
         "no growth, no cell quiescent or necrotic" if first == last else "fewer cells than at first"
     )

@@ -56,12 +56,19 @@ _NUMBERS: Final = {
 """What click says of a number -> what is said here."""
 _OTHER_OPTIONS: Final = {"--vary": "--free", "--free": "--vary", "--out": "--output"}
 """Options of one command that people write for another."""
+_OUTPUTS: Final = {"plot": "section.png", "movie": "movie.gif", "export": "tables"}
+"""What is written, by commands that write no run, as an example."""
 _MEANT: Final = {
     "version": "--version",
     "workprecision": "compare SCENE -o out",
     "simulate": "run SCENE -o out",
     "check": "explain SCENE",
     "keys": "schema",
+    "gui": "play SCENE",
+    "list": "scenes",
+    "new": "init NAME",
+    "validate": "explain SCENE",
+    "animate": "movie out -o movie.gif",
 }
 """Words that stand for commands -> the arguments to write."""
 DEBUG = "MULTICELL_DEBUG"  # environment variable that shows the traceback of an unexpected error
@@ -297,7 +304,10 @@ def _with_example(error: click.MissingParameter) -> click.ClickException:
     if not isinstance(option, click.Option):
         return error
     short = min(option.opts, key=len)
-    value = "out" if option.name == "output" else (option.metavar or "…")
+    command = error.ctx.command.name if error.ctx is not None else ""
+    value = option.metavar or "…"
+    if option.name == "output":
+        value = _OUTPUTS.get(command or "", "out")
     named = " / ".join(repr(name) for name in option.opts)
     return click.UsageError(f"Missing option {named}, for example {short} {value}.", error.ctx)
 
@@ -320,7 +330,10 @@ def _with_key(error: click.NoSuchOption) -> click.ClickException:
 
     tables = {name: spec.table for name, spec in specs(Scene).items() if spec.table is not None}
     keys = [word] if word in specs(Scene) else []
-    keys += [f"{name}.{word}" for name, table in tables.items() if word in specs(table)]
+    named = {name for name, spec in specs(Scene).items() if spec.kind == "tables"}
+    for name in sorted(tables, key=lambda name: name in named):
+        if word in specs(tables[name]):
+            keys.append(f"{name}.NAME.{word}" if name in named else f"{name}.{word}")
     if not keys:
         return error
     said = f"No such option: {error.option_name}. It is a key of the scene: --set {keys[0]}='…'"

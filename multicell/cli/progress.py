@@ -46,10 +46,11 @@ def reporter(
     if show:
         from multicell.report.explain.compilation import missing_parts
 
-        opening = clock.foresee(missing_parts(scene))
-        seen = [] if page is None else [f"The tissue so far: {page}"]
-        for line in [*opening, *seen]:
-            on_stderr().print(line, markup=False, soft_wrap=True)
+        console = on_stderr()
+        for line in clock.foresee(missing_parts(scene)):
+            console.print(line, markup=False, soft_wrap=not console.is_terminal)
+        if page is not None:
+            console.print(f"The tissue so far: {page}", markup=False, soft_wrap=True)
     with display(clock.words, clock.note, lines=10, show=show) as progress:
         yield progress
 
@@ -102,10 +103,8 @@ def display(
     from rich.table import Column
     from rich.text import Text
 
-    begin, width = (
-        time.perf_counter(),
-        24 if console.width >= 80 else 8 if console.width > 60 else 0,
-    )
+    begin, wide = time.perf_counter(), console.width
+    width = 24 if wide >= 100 else 16 if wide >= 80 else 8 if wide > 60 else 0
     utf = console.encoding.startswith("utf")
     room = console.width - 6 - (width + 1 if width else 0)  # beside percentage, bar and gaps
 
@@ -270,15 +269,17 @@ class _Clock:
         """Return the part that numba compiles now, with those before; nothing where it does not."""
         from multicell.compiling import COMPILATION
 
-        if not COMPILATION.part:
+        took, part = dict(COMPILATION.parts), COMPILATION.part
+        if not part and self._simulation is None:  # between two functions of a part
+            part = next(reversed(took), "")
+        if not part:
             return []
-        left, part = self._remaining(now), COMPILATION.part
-        took = COMPILATION.parts.get(part, 0.0) + now - COMPILATION.begin
-        ticks = " ".join(f"✓ {done}" for done in COMPILATION.parts if done != part)
+        left = self._remaining(now)
+        spent = took.get(part, 0.0) + (now - COMPILATION.begin if COMPILATION.part else 0.0)
         return [
-            f"compiling {part}, {wall_time(took)}",
+            f"compiling {part}, {wall_time(spent)}",
             *([] if left is None else [f"{wall_time(left)} left"]),
-            *([ticks] if ticks else []),
+            *(f"✓ {done}" for done in reversed(took) if done != part),
         ]
 
     def _remaining(self, now: float) -> float | None:
@@ -360,9 +361,12 @@ class Pace:
     - ``runs``: all of the study
     - ``cores``: on which they go; None if that is not known
     - ``now``: of the clock, s
+    - ``compiling``: expected wall time for which the first runs compile, s
     """
 
-    def __init__(self, runs: Sequence[StudyRun], cores: int | None, now: float) -> None:
+    def __init__(
+        self, runs: Sequence[StudyRun], cores: int | None, now: float, compiling: float = 0.0
+    ) -> None:
         self.expected = {run.name: run.expected for run in runs}
         self.left = dict(self.expected)
         self.total = len(self.expected)
@@ -371,6 +375,7 @@ class Pace:
         self._usual = sum(self.expected.values()) / max(self.total, 1)
         self._took = self._foreseen = 0.0
         self._last = now
+        self._compiled = now + compiling  # when the first runs are expected to step
 
     @property
     def share(self) -> float:
@@ -384,32 +389,55 @@ class Pace:
         self.failed += outcome.state != "done"
         self._last = now
         if not outcome.reused and outcome.state == "done":
-            self._took, self._foreseen = self._took + outcome.wall, self._foreseen + foreseen
+            # without the time for which it compiled, and not below what was expected
+            waited = max(self._compiled - (now - outcome.wall), 0.0)
+            took = max(outcome.wall - waited, min(outcome.wall, foreseen))
+            self._took, self._foreseen = self._took + took, self._foreseen + foreseen
+            self._compiled = min(self._compiled, now)
 
     def remaining(self, now: float) -> float | None:
-        """Return the wall time that is left, s; None if nobody knows on how many cores."""
+        """Return the wall time that is left, s; None if nobody knows on how many cores.
+
+        It is negative where the study takes longer than predicted.
+        """
         if self._cores is None:
             return None
+        if not self.left:
+            return 0.0
         factor = (self._took + self._usual) / (self._foreseen + self._usual)
         rest = self.left.values()
         time = max(sum(rest) / self._cores, max(rest, default=0.0))
-        return max(0.0, factor * time - (now - self._last))
+        return factor * time - (now - max(self._last, self._compiled))
 
     def words(self, now: float) -> list[str]:
         """Return how the study stands in words."""
-        left = self.remaining(now)
+        left, when = self.remaining(now), []
+        if self.left and left is not None:
+            late = left < -1.0
+            when = [f"{wall_time(-left)} later than predicted" if late else _about(left)]
         return [
             f"{self.total - len(self.left):,} of {self.total:,} runs",
             *([f"{self.failed:,} failed"] if self.failed else []),
-            *([] if left is None or not self.left else [f"about {time_text(left, 2)} left"]),
+            *when,
         ]
+
+
+def _about(left: float) -> str:
+    """Return a wall time that is left in words, in whole seconds from one on."""
+    return f"about {time_text(max(left, 1.0), 2)} left"
 
 
 def study_reporter(
     study: Study, cores: int | None, *, show: bool = True
 ) -> AbstractContextManager[Callable[[RunOutcome], None] | None]:
     """Return a context with what is called with every outcome."""
-    pace = Pace(study.runs, cores, time.perf_counter())
+    from multicell.report.explain.compilation import missing_parts
+
+    compiling = sum(missing_parts(study.runs[0].scene).values()) if show and cores else 0.0
+    if compiling:
+        words = f"The first runs compile: some {_rounded(compiling):.0f} s, once on this machine."
+        on_stderr().print(words, markup=False)
+    pace = Pace(study.runs, cores, time.perf_counter(), compiling)
 
     def note(outcome: RunOutcome) -> float | None:
         pace.note(outcome, time.perf_counter())

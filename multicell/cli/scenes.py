@@ -118,8 +118,10 @@ def schema(as_json: bool) -> None:
 
 def _known_program(_: click.Context, __: click.Parameter, value: str) -> str:
     if value != "physicell":
-        example = f"multicell import physicell {value} -o out"
-        raise click.BadParameter(f"{value!r} is no program whose models are read: {example}")
+        hint = f"multicell import physicell {value} -o out"
+        if value.lower() in ("sbml", "antimony") or value.endswith((".sbml", ".ant")):
+            hint = "a scene reads a network by --set networks.NAME.file=FILE"
+        raise click.BadParameter(f"{value!r} is no program whose models are read: {hint}")
     return value
 
 

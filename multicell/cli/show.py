@@ -47,7 +47,7 @@ def view_command(
 ) -> None:
     """Open the page of the run in FOLDER, also during the run, with all frames so far.
 
-    The page is written anew unless it is younger than the results. A run that has no frame yet
+    The page is written again unless it is newer than the results. A run that has no frame yet
     shows a picture of its cells that renews itself.
     """
     how = shared.how_to_read(data, columns, where, specimens)

@@ -18,8 +18,8 @@ _MOST: Final = 5  # sliders of a scene of which nobody has named one
 _OF_FIELDS: Final = ("boundary", "uptake", "quiescence", "necrosis")
 _OTHERS: Final = (
     "growth.cycle_time",
-    "motility.speed",
-    "motility.magnitude",
+    "motility.force",
+    "motility.diffusion",
     "contact.surface_energy",
     "growth.critical_pressure",
     "drag.viscosity",

@@ -42,7 +42,7 @@ def meant_by(name: str) -> str:
     if word in ("explicit", "implicit"):
         kind = [info.name for info in METHODS.values() if info.implicit == (word == "implicit")]
         return f"The {word} ones are {', '.join(kind)}."
-    return ""
+    return "Name none to compare all that can run the scene." if word == "all" else ""
 
 
 def find(name: str) -> MethodInfo | None:

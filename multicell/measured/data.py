@@ -56,6 +56,7 @@ from multicell.scene.scene import Scene
 from multicell.scene.sizes import division_radius
 from multicell.schema import chosen, leaves
 from multicell.tables.columns import Table
+from multicell.units import time_text
 
 ASSUMED: Final = 0.1
 """Relative standard deviation of data that come without one, unless another one is given."""
@@ -340,7 +341,7 @@ class _Rows:
             return None
         start = numbers.get(("start", "start"), 0.0)
         if time < start:
-            problem = f"was measured at {time:g} s, before the run begins at {start:g} s"
+            problem = f"was measured {time_text(start - time)} before the run begins"
             raise DataError(self._where(row), problem)
         return time - start
 

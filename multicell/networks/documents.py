@@ -99,7 +99,10 @@ class _Search:
 
     def _root(self, space: str, local: str, about: dict[str, str]) -> None:
         if local != "sbml" or not _SBML.fullmatch(space):
-            raise self.refuse(f"is no SBML: its first element is '{local[:60]}'")
+            why = f"its first element is '{local[:60]}'"
+            if local == "sbml":
+                why = "it lacks the namespace of its level, as xmlns='...'"
+            raise self.refuse(f"is no SBML: {why}")
         for key, value in about.items():
             package = _PACKAGE.fullmatch(key.rpartition(" ")[0])
             if package and key.endswith(" required") and value in _YES:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING
 from typing import Any
 
@@ -14,7 +14,7 @@ from multicell.plugins.laws import Laws, OwnLaw
 from multicell.plugins.named import load_object
 from multicell.schema import number, quantity
 from multicell.schema import parameters as declare
-from multicell.units import is_unit
+from multicell.units import is_unit, shown
 
 
 def load_law(spec: str) -> type[OwnLaw]:
@@ -33,8 +33,12 @@ def load_law(spec: str) -> type[OwnLaw]:
     return found
 
 
-def refuse_names(base: type[OwnLaw], names: Iterable[str], hidden: Sequence[str] = ()) -> None:
+def refuse_names(base: type[OwnLaw], names: Mapping[str, Any], hidden: Sequence[str] = ()) -> None:
     """Refuse parameters with a name that laws of a kind have, unless they may hide it."""
+    if not isinstance(names, Mapping):
+        raise TypeError(
+            f"parameters are {shown(names)}, must be names with units: {{'stiffness': 'nN/um'}}"
+        )
     taken = [name for name in names if hasattr(base, name) and name not in hidden]
     if taken:
         raise TypeError(f"{taken[0]!r} cannot be the name of a parameter of a law")

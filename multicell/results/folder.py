@@ -80,6 +80,8 @@ def file_errors(action: str, path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         reason = error.strerror or str(error)
+        if isinstance(error, FileNotFoundError) and not path.parent.exists():
+            reason = f"there is no folder '{path.parent}'"
         raise OutputError(f"cannot {action} '{path}': {reason}") from error
 
 

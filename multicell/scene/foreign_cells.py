@@ -21,6 +21,7 @@ from multicell.tables.writers import UNITS_BELOW, Writer, map_of, unit_word, wri
 from multicell.units import time_text, unit_factor
 
 _PLAIN: Final = ("x", "y", "z")
+_IMAGES: Final = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".czi", ".nd2", ".lif")
 _LARGEST_IMAGE: Final = 16_000_000_000  # bytes
 
 
@@ -57,6 +58,8 @@ def foreign_cells(content: bytes, path: Path, choice: CellsChoice) -> tuple[Colu
             image = read_bytes(place, _LARGEST_IMAGE), place.name
         columns, words = cells_of_image(content, name, names, choice.frame, image)
         return Columns(name, columns), words
+    if path.suffix.lower() in _IMAGES:
+        raise DataError(name, "is no TIFF image", "Save the labels of the cells as TIFF.")
     if content[:4] == PARQUET:
         return None if not choice.given else _read(from_bytes(content, name), names, choice, None)
     if content[:4] == ZIP:
@@ -73,7 +76,13 @@ def foreign_cells(content: bytes, path: Path, choice: CellsChoice) -> tuple[Colu
     wanted = _wanted(writer, names)
     table = from_bytes(content, name, form=form, skip=len(below), wanted=wanted)
     unit = below[-1][titles.index(UNITS_BELOW[-1])] if below else ""
-    return _read(table, names, choice, writer, unit)
+    try:
+        return _read(table, names, choice, writer, unit)
+    except DataError:
+        if len(table.columns) == len(titles):
+            raise
+    # with all columns, so that the error names those that are there
+    return _read(from_bytes(content, name, form=form, skip=len(below)), names, choice, writer, unit)
 
 
 def read_cells(

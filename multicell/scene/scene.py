@@ -79,6 +79,7 @@ from multicell.schema import (
     near_miss,
     parameters,
     part_as_dict,
+    place_of_key,
     quantity,
     specs,
     table,
@@ -352,6 +353,10 @@ def _toml_hint(content: str, error: ValueError) -> str:
     lines = content.splitlines()
     number = int(found[1]) if found else 0
     line = lines[number - 1].strip() if 0 < number <= len(lines) else ""
+    if re.match(r"[\w.]+\s*:(\s|$)", line):
+        return "A scene is TOML, not YAML: duration = '1 d'."
+    if re.match(r"(import|from|def|class)\s|@|\"\"\"", line):
+        return "Python files are for --law, --observable and --integrator."
     if "Cannot overwrite" in str(error):
         return f"The key of {line!r} stands there twice."
     if "Illegal character '\\n'" in str(error):
@@ -463,7 +468,9 @@ def scene_text(source: str | Path) -> str:
         raise SceneError("", f"{str(source)!r} is a folder, not a scene", hint) from None
     except UnicodeDecodeError as error:
         problem = f"the scene file {str(source)!r} is not UTF-8 text (byte {error.start})"
-        raise SceneError("", problem) from None
+        of_run = path.parent / "scene.toml"
+        hint = f"The scene of that run is '{of_run}'." if of_run.is_file() else ""
+        raise SceneError("", problem, hint) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise SceneError("", f"the scene file {str(source)!r} cannot be read: {reason}") from error
@@ -549,10 +556,15 @@ def _meant(scene: Scene, key: str) -> str:
         return f"Did you mean 'nutrients.{fields[word.lower()]}.boundary'?"
     known = [".".join(path) for path, _, _ in leaves(scene)]
     near = [name for name in known if name.rpartition(".")[2] == word]
-    tables = {name: spec.table for name, spec in specs(Scene).items() if spec.table is not None}
-    near += [f"{name}.{word}" for name, table in tables.items() if word in specs(table)]
+    for name, spec in specs(Scene).items():
+        if spec.table is None or word not in specs(spec.table):
+            continue
+        if spec.kind != "tables":
+            near.append(f"{name}.{word}")
+        elif not any(key.startswith(f"{name}.") for key in near):
+            near.append(f"{name}.NAME.{word}")
     near = list(dict.fromkeys(near))
-    return f"Did you mean {' or '.join(map(repr, near[:3]))}?" if near else ""
+    return f"Did you mean {' or '.join(map(repr, near[:3]))}?" if near else place_of_key(key)
 
 
 _NAMES: Final = {"o2": "oxygen", "glc": "glucose", "gluc": "glucose", "glutamin": "glutamine"}

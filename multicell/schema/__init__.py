@@ -47,6 +47,7 @@ from multicell.schema.part import (
     leaves,
     near_miss,
     part_as_dict,
+    place_of_key,
     separated,
     specs,
 )
@@ -74,6 +75,7 @@ __all__ = [
     "number",
     "parameters",
     "part_as_dict",
+    "place_of_key",
     "quantities",
     "quantity",
     "schedule",

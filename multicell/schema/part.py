@@ -21,14 +21,27 @@ _MEANT: Final = {
     "n": ("count",),
     "number": ("count",),
     "dt": ("coupling_step", "step"),
+    "end": ("duration",),
     "radius": ("count",),
     "rate": ("cycle_time",),
     "stiffness": ("young",),
+    "time": ("duration",),
     "timestep": ("coupling_step", "step"),
     "tolerance": ("rtol",),
     "youngs_modulus": ("young",),
 }
 """Words that others use for our keys, which is no matter of spelling."""
+
+_ELSEWHERE: Final = {
+    "concentration": "That of the medium is nutrients.NAME.boundary.",
+    "cycle_time": "The cycle of cells is growth.cycle_time.",
+    "frames": "The time between frames is output.every.",
+    "interval": "The time between frames is output.every.",
+    "motility": "Cells move by the table [motility].",
+    "stiffness": "The stiffness of cells is cells.young.",
+    "viscosity": "That of the medium is drag.viscosity.",
+}
+"""Where keys stand that are written in another table, by what they are called there."""
 
 _LISTED = 220
 """Letters of all names together that an error lists."""
@@ -122,7 +135,7 @@ def build_part(part: type[T], value: object, path: str = "", also: tuple[str, ..
     entries = mapping(value, path, f"Its keys: {_listed([*also, *known])}.")
     for key in entries:
         if key not in known:
-            hint = near_miss(key, [*also, *known])
+            hint = " ".join(filter(None, (place_of_key(key), near_miss(key, [*also, *known]))))
             raise SceneError(_join(path, key or "''"), "is not a known key here", hint)
     for spec in fields(part):  # type: ignore[arg-type]
         needed = spec.default is MISSING and spec.default_factory is MISSING
@@ -194,6 +207,11 @@ def near_miss(name: str, options: Iterable[str], *, listed: bool = True) -> str:
     if listed:
         parts.append(f"Allowed: {_listed(known)}")
     return " ".join(parts)
+
+
+def place_of_key(key: str) -> str:
+    """Return where a key stands that was written in another table; empty if nobody knows."""
+    return _ELSEWHERE.get(key.lower(), "")
 
 
 def _listed(names: list[str]) -> str:

@@ -204,9 +204,11 @@ def _listed(key: Key, text: str) -> list[Any]:
         except ValueError as error:
             problem = f"has values that are not valid TOML: {shown(text)}"
             raise SceneError(key.name, problem, str(error)) from None
-    if re.search(r"\d *\.\. *\d", text) and is_numeric(key):
+    if re.search(r"\d *\.\. *\d|^[^:,]*\d[^:,]*:[^:,]*\d[^:,]*$", text) and is_numeric(key):
         problem = f"is {shown(text)}, which is a range"
         hint = f"List the values: {_example(key)}, or write 'low:high:count unit'."
+        if (found := re.match(r"([^:]*:\s*[\d.e+-]*\d)(.*)", text)) and ":" not in found[2]:
+            hint = f"Write how many values: '{found[1]}:5{found[2]}' has five."
         raise SceneError(key.name, problem, hint)
     items = [item.strip() for item in text.split(",")] if text else []
     if not all(items):

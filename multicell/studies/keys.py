@@ -17,7 +17,7 @@ from multicell.integrators.registry import METHODS
 from multicell.scene.oxygen import in_concentrations
 from multicell.scene.responses import Response, in_base_units, response_unit
 from multicell.scene.scene import Scene, check_dotted
-from multicell.schema import Draw, Parameter, chosen, near_miss, specs
+from multicell.schema import Draw, Parameter, chosen, near_miss, place_of_key, specs
 
 _TABLES: Final = ("table", "variant", "tables")
 _NUMBERS: Final = ("quantities", "drawn_numbers")
@@ -134,7 +134,7 @@ def _refusal(name: str, known: Sequence[str], absent: Sequence[str]) -> SceneErr
     if below:
         listed = ", ".join(dict.fromkeys(key.partition(".")[0] for key in below))
         return SceneError(name, f"is a table, not a value: name one of its keys ({listed})")
-    hint = _near(name, known) or near_miss(name, known)
+    hint = place_of_key(name.rpartition(".")[2]) or _near(name, known) or near_miss(name, known)
     return SceneError(name, "is not a key of this scene", hint)
 
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from multicell.cells import FloatArray
 
+_FEW: Final = 12  # runs at one place that stand apart
 _COLOURS: Final = ListedColormap(mpl.colormaps["viridis"](np.linspace(0.0, 0.88, 256)))
 _MIN_FONT: Final = 6.7  # points: 7 at the width of a page; smaller numbers cannot be read
 _EMPTY, _FAILED = "#eceff2", "#f6dfd9"
@@ -391,7 +392,10 @@ def _draw_response(
     # words have a place of their own each
     words = shown.numbers is None
     places = np.array([shown.values.index(str(v)) for v in own]) if words else own / shown.factor
-    axes.plot(places, flat, "o", color=style.BLUE, ms=3.5, alpha=0.35, mew=0, zorder=2)
+    # the runs of a few seeds stand in front of their bar; many are a cloud behind it
+    few = flat.shape[1] <= _FEW
+    size, alpha, order_of = (5.0, 0.7, 4) if few else (3.5, 0.35, 2)
+    axes.plot(places, flat, "o", color=style.BLUE, ms=size, alpha=alpha, mew=0, zorder=order_of)
     mean, sd = of.statistics(flat)
     order = np.argsort(places, kind="stable")
     axes.errorbar(

@@ -264,6 +264,8 @@ def _entries(path: Path) -> tuple[dict[str, Any], bool]:
         raise SceneError(
             "", f"'{path.parent}' holds no study: there is no {PLAN_FILE}", hint
         ) from None
+    except NotADirectoryError:
+        raise SceneError("", f"'{path.parent}' is a file, not the folder of a study") from None
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
         raise SceneError("", f"'{path}' cannot be read: {reason}") from error

@@ -75,7 +75,7 @@ def spheroids(table: xr.Dataset, title: str, tissues: Sequence[Tissue], points: 
     words = 0.18 * lines
     side = 0.94 * style.SIZE[0] / max(columns, 2)  # of a panel, with the space beside it
     high = 1.35 + (0.92 * side + words) * rows
-    subtitle = "at the end of each run, on one scale"
+    subtitle = "Tissue at the end of each run, on one scale"
     if len(tissues) < points:
         subtitle += f": {len(tissues)} of {points:,} points"
     figure = style.blank(title, subtitle, (style.SIZE[0], high))

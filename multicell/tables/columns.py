@@ -60,7 +60,8 @@ def from_bytes(
         return _parquet(content, name)
     form = text_form(content, name) if form is None else form
     rows = partial(rows_of, content, name, form)
-    return _filled(from_rows(rows(), name, rows, form, skip, wanted))
+    found = from_rows(rows(), name, rows, form, skip, wanted)
+    return _filled(found) if found.columns else found  # who wants columns names those it lacks
 
 
 def from_titles(

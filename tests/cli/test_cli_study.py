@@ -234,6 +234,23 @@ def test_the_time_left_is_corrected_by_what_was_measured():
     assert Pace([], 2, 0.0).share == 1.0
 
 
+def test_what_the_first_runs_compile_is_part_of_the_time_left():
+    pace = Pace([_run(name, 10.0) for name in "abcd"], 2, 0.0, 40.0)
+    assert pace.remaining(30.0) == 30.0
+    assert pace.remaining(45.0) == 15.0
+    pace.note(RunOutcome("a", "done", wall=52.0), 52.0)  # 40 s of it compiled
+    pace.note(RunOutcome("b", "done", wall=53.0), 53.0)
+    assert pace.remaining(53.0) == pytest.approx(10.0 * 35.0 / 30.0)
+
+
+def test_a_study_that_is_late_says_by_how_much():
+    pace = Pace([_run("a", 10.0), _run("b", 10.0)], 2, 0.0)
+    assert pace.words(4.0)[-1] == "about 6 s left"
+    assert pace.words(10.0)[-1] == "about 1 s left"
+    assert pace.words(30.0)[-1] == "20 s later than predicted"
+    assert Pace([_run("a", 10.0)], None, 0.0).words(30.0) == ["0 of 1 runs"]
+
+
 def test_the_longest_run_decides_over_many_cores():
     pace = Pace([_run("a", 100.0), _run("b", 1.0)], 8, 0.0)
     assert pace.remaining(0.0) == 100.0

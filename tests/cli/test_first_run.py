@@ -190,6 +190,31 @@ def test_the_part_is_named_with_its_time_and_those_before_are_ticked(now):
     assert words[2] == "✓ random numbers"
 
 
+def test_between_two_functions_a_part_stays_named_with_the_last_ticks_first(now):
+    clock = _Clock(SPHEROID)
+    clock.foresee(MISSING)
+    COMPILATION.parts = {"random numbers": 1.0, "fields": 2.0, "motion": 4.0}
+    assert clock.words()[0] == "compiling motion, 4 s"  # numba does something else just now
+    compile_now("motion", now[0])
+    words = clock.words()
+    assert words[2:] == ["✓ fields", "✓ random numbers"]
+    assert fitting(words, 57).endswith("left · ✓ fields")  # beside the bar of 80 columns
+    COMPILATION.part = ""
+    clock.note(running())
+    assert clock.words()[0] == "1.00 of 12 d"
+
+
+def test_the_first_words_break_between_words(capsys, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "40")
+    monkeypatch.setattr(compilation, "missing_parts", lambda scene: dict(MISSING))
+    with reporter(SPHEROID):
+        pass
+    lines = [line.rstrip() for line in capsys.readouterr().err.splitlines()[:3]]
+    assert all(len(line) <= 40 for line in lines)
+    assert "once on this machine." in " ".join(lines)
+
+
 def test_time_left_has_steps_compiling_and_pictures_and_falls(now):
     plain, drawing = _Clock(SPHEROID), _Clock(SPHEROID, report=True)
     for clock in (plain, drawing):

@@ -62,6 +62,16 @@ def test_a_folder_that_is_not_there_is_told_from_one_without_results(tmp_path):
     assert "frames.h5 is missing" in output
 
 
+def test_files_where_folders_are_meant_and_folders_that_are_not_there(folder, tmp_path):
+    code, output = words("export", folder, "-o", tmp_path / "cells.csv")
+    assert (code, "name a folder" in output) == (2, True)
+    code, output = words("plot", folder, "-o", tmp_path / "none" / "a.png")
+    assert (code, f"there is no folder '{tmp_path / 'none'}'" in output) == (3, True)
+    code, output = words("explain", folder / "frames.h5")
+    assert (code, f"The scene of that run is '{folder / 'scene.toml'}'" in output) == (2, True)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_run_that_is_done_says_how_to_prolong_it(folder):
     code, output = words("resume", folder)
     assert code == 2

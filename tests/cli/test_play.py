@@ -24,7 +24,8 @@ from signals import listening
 import multicell as mc
 from multicell.cli.main import main
 from multicell.cli.playground import Playground, _Handler, verdict
-from multicell.cli.slider_keys import asked_units, default_ranges
+from multicell.cli.slider_keys import _OTHERS, asked_units, default_ranges
+from multicell.schema import specs
 from multicell.studies.axes import check_ranges, parse_ranges
 
 KEY = "nutrients.oxygen.boundary"
@@ -275,6 +276,14 @@ def test_labels_have_the_unit_that_was_asked_for(key, text, label):
         assert (slider["high"], slider["unit"]) == (pytest.approx(float(number)), unit)
 
 
+def test_every_key_that_is_offered_is_one_of_scenes():
+    for key in _OTHERS:
+        table, _, name = key.partition(".")
+        spec = specs(mc.Scene)[table]
+        parts = [spec.table] if spec.parts is None else spec.parts.values()
+        assert any(name in specs(part) for part in parts), key
+
+
 HOUR, DAY = 3600.0, 86400.0
 
 
@@ -288,6 +297,7 @@ HOUR, DAY = 3600.0, 86400.0
         ([0, 2 * HOUR, 5 * HOUR], {"necrotic": [0, 1, 0]}, "necrosis begins after 2 h"),
         ([0, DAY, 9 * DAY], {"necrotic": [2, 1, 0]}, "necrosis begins at the start"),
         ([0, DAY], {"cells": [10, 25]}, "2.5 times as many cells, none quiescent or necrotic"),
+        ([0, DAY], {"cells": [1, 1319]}, "1,319 times as many cells, none quiescent or necrotic"),
         ([0, DAY], {"cells": [10, 10]}, "no growth, no cell quiescent or necrotic"),
         ([0, DAY], {"cells": [10, 4]}, "fewer cells than at first"),
     ],

@@ -21,6 +21,13 @@ FILES = {
     "twice.csv": "x_um,y_um,z_um\n0,0,0\n0,0,0\n",
     "mine.py": "def law(x):\n    return x\n",
     "dose.csv": "conc,response\n1,2\n",
+    "early.csv": "day, diameter / um\n-1, 30\n",
+    "good.csv": "day, diameter / um\n1, 30\n",
+    "labels.tif": "no image\n",
+    "law.py": "import multicell as mc\n",
+    "net.xml": "<sbml></sbml>\n",
+    "semi.csv": "x_um;y_um;z_um\n0;0;0\n",
+    "yaml.toml": "duration: 3 d\n",
 }
 SET = {
     "duration=3,5 d": "Use '.' as decimal separator",
@@ -49,7 +56,16 @@ SET = {
     "integrator.tolerance=0": "Did you mean 'rtol'",
     "nutrients.oxygen.consumption=4 amol/s": "Did you mean 'uptake'",
     "nutrients.glucose.boundary=4.5 g/l": "1 g/l of glucose (180 g/mol) is 5.55 mM",
+    "duration=3 months": "write days, as '90 d'",
+    "growth.cycle_time=18±2 h": "ranges are for --vary, --free and --key",
+    "growth.cycle_time=10-20 h": "ranges are for --vary, --free and --key",
+    "contact.stiffness=1 kPa": "The stiffness of cells is cells.young",
+    "output.frames=10": "The time between frames is output.every",
+    "temperature=37": "Did you mean 'nutrients.oxygen.temperature'?",
+    "networks.a.file=net.xml": "it lacks the namespace of its level",
 }
+STUDY = "study new growth -o out --vary"
+FREE = "fit growth -o out --data good.csv --free"
 FIT = ["-o", "out", "--free", "growth.cycle_time=8:25 h", "--data"]
 COMMANDS = {
     "run spheroid": "Missing option '-o'",
@@ -84,6 +100,24 @@ COMMANDS = {
     "play spheroid --key oxygen": "--key oxygen='LOW:HIGH'",
     "sensitivity spheroid -o s --vary growth.cycle_time=1:2": "Write --free",
     "import settings.xml -o out": "multicell import physicell settings.xml -o out",
+    "import sbml net.xml": "--set networks.NAME.file=FILE",
+    "run spheroid -o out --cells labels.tif": "labels.tif: is no TIFF image",
+    "run spheroid -o out --cells semi.csv --columns x=X": "Allowed: x_um, y_um, z_um",
+    "explain yaml.toml": "A scene is TOML, not YAML",
+    "explain law.py": "Python files are for --law",
+    "resume law.py": "it is a file, not a folder",
+    "plot out": "for example -o section.png",
+    "movie out": "for example -o movie.gif",
+    "export out": "for example -o tables",
+    "study report law.py": "'law.py' is a file, not the folder of a study",
+    f"{STUDY} growth.cycle_time=10:20h": "'10:20:5h' has five",
+    f"{FREE} growth.cycle_time=uniform(8,25)": "A uniform one is the range alone",
+    f"{FREE} growth.cycle_time=8:25h --constraint cycle_time>10": "A limit is an end of a range",
+    "compare growth -o out --methods all": "Name none to compare all",
+    "dose-response growth -o out": "for example --dose nutrients.drug.boundary",
+    "profile nowhere": "there is no such folder",
+    "stability growth -o out --file 5": "--set networks.NAME.file='…'",
+    "gui": "multicell play SCENE",
 }
 DATA = {
     "comma.csv": "Use '.' as decimal separator",
@@ -93,6 +127,7 @@ DATA = {
     "empty.csv": "holds no data",
     "time.csv": "Write 'time / h'",
     "none.csv": "does not exist",
+    "early.csv": "was measured 1 d before the run begins",
 }
 PYTHON = {
     "a number": (lambda: mc.run(5), "5"),

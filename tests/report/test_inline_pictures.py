@@ -54,6 +54,23 @@ def test_states_and_types_keep_their_colours_in_dark_mode(colour):
     assert to_hex(in_dark(colour)) == colour
 
 
+@pytest.mark.parametrize("opacity", [0.4, 0.6, 1.0])
+def test_what_is_half_transparent_can_be_seen_in_dark_mode(opacity):
+    figure = blank("", "", (4.0, 3.0))
+    [line] = figure.subplots().plot([1, 2], [1, 2], "o-", color=BLUE, alpha=opacity)
+    darken(figure)
+    card = np.array(to_rgb(CARD))
+    for colour in (line.get_color(), line.get_markerfacecolor()):
+        assert contrast(card + opacity * (np.array(to_rgb(colour)) - card)) >= 3.0
+
+
+def test_paper_is_light_whatever_the_screen():
+    """Browsers print with the colours of the screen where a page does not say otherwise."""
+    assert re.findall(r"@media ([^{]*prefers-color-scheme[^{]*)\{", STYLE) == [
+        "screen and (prefers-color-scheme:dark) "
+    ]
+
+
 def test_view_has_the_colours_of_the_pictures_in_both_modes():
     script = (files("multicell.report.viewer") / "viewer.js").read_text()
     assert "prefers-color-scheme" not in script

@@ -188,3 +188,12 @@ def test_a_section_of_one_row_is_refined_along_it():
     values = np.arange(4.0).reshape(4, 1, 1)
     fine = refine(Field("oxygen", "mM", np.zeros(3), 10.0, values), 0.0)[2]
     np.testing.assert_allclose(fine, [np.linspace(0.0, 3.0, 13)])
+
+
+def test_states_over_the_radius_are_one_area_each(result):
+    """In dark mode an area that would be lost has an edge, which must not part its shells."""
+    parts = result.plot.profiles().axes[-1]
+    assert len(parts.patches) == len(parts.get_legend_handles_labels()[1]) > 1
+    top = parts.patches[-1].get_data()
+    assert np.nanmax(top.values) == pytest.approx(100.0)
+    assert np.array_equal(top.baseline, parts.patches[-2].get_data().values)

@@ -154,6 +154,14 @@ def test_a_panel_for_each_axis_of_a_sample():
         plots(table).heatmap("diameter")
 
 
+def test_runs_of_few_seeds_stand_in_front_of_their_bar():
+    axes = plots(grid(OXYGEN)).response("diameter").axes[0]
+    (container,) = axes.containers
+    runs = [line for line in axes.lines if line.get_alpha() is not None]
+    assert runs[0].get_zorder() > container.lines[0].get_zorder()
+    assert runs[0].get_markersize() > container.lines[0].get_markersize()
+
+
 def test_points_of_a_sample_stand_at_their_values_with_their_deviation():
     table = sampled(OXYGEN, seeds=3)
     axes = plots(table).response("diameter").axes[0]

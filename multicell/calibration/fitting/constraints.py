@@ -176,7 +176,7 @@ def _number(name: str, ranges: Sequence[Range]) -> int:
             if free.whole:
                 raise SceneError("constraints", f"name {name}, which is a whole number")
             return k
-    names = [free.name for free in ranges]
-    raise SceneError(
-        "constraints", f"name {shown(name)}, which is not free", near_miss(name, names) or _HINT
-    )
+    hint = near_miss(name, [free.name for free in ranges]) or _HINT
+    if re.match(r"[+-]?\.?\d", name):
+        hint = "A limit is an end of a range: --free KEY=LOW:HIGH."
+    raise SceneError("constraints", f"name {shown(name)}, which is not free", hint)

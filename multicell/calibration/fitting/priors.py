@@ -214,7 +214,8 @@ def _from_call(key: Key, name: str, text: str) -> Density:
     match = _ARGUMENTS[name].fullmatch(text) if name in _ARGUMENTS else None
     if match is None:
         problem = f"has {shown(f'{name}({text})')}, must be norm or lognorm with two arguments"
-        raise SceneError(key.name, problem, _HINT)
+        hint = "A uniform one is the range alone, as '8:25 h'." if "unif" in name.lower() else _HINT
+        raise SceneError(key.name, problem, hint)
     middle = _number(key, match[1].strip(), bare=False)
     spread = _number(key, match[2].strip(), bare=name == "lognorm")
     if not spread > 0.0 or (name == "lognorm" and not middle > 0.0):

@@ -50,7 +50,8 @@ def load_fit(folder: str | Path) -> Fit:
     folder = Path(folder)
     result = read_document(folder / "result.json")
     if result is None:
-        raise OutputError(f"'{folder}' holds no fit that is done")
+        why = "" if folder.is_dir() else ": there is no such folder"
+        raise OutputError(f"'{folder}' holds no fit that is done{why}")
     plan = _stored_plan(folder, result)
     facts = {name: value for name, value in result.items() if name in FACTS}
 

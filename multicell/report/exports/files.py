@@ -51,6 +51,7 @@ FORMATS: Final = {
     "ro-crate": Format("exports.formats.write_crate", ["ro-crate-metadata.json"]),
 }
 """Formats by name."""
+_SUFFIXES: Final = {Path(name).suffix for one in FORMATS.values() for name in one.files}
 
 
 def export(
@@ -131,6 +132,10 @@ def export(
     if frame is not None and not -count <= frame < count:
         raise OutputError(f"there is no frame {frame}: the run has {count}")
     folder = Path(output)
+    if folder.suffix in _SUFFIXES and not folder.is_dir():
+        raise OutputError(
+            f"'{folder}' is the name of a file, and {format} writes several: name a folder"
+        )
     with file_errors("use the output folder", folder):
         if not overwrite:
             _refuse_old(folder, [file.format(table=x) for x in names for file in chosen.files])

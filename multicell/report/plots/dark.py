@@ -39,6 +39,7 @@ _LEAST: Final = 3.0  # contrast with the card that WCAG 2 asks of graphics
 _READ: Final = 4.5  # and of letters
 _PALE: Final = 0.8  # mean of red, green and blue above which a colour is of what stands behind
 _GREY: Final = 0.12  # range of red, green and blue below which a colour is one of ink and paper
+_SEEN: Final = 0.4  # opacity from which on a mark is judged as it looks on the card
 _SAME: Final = frozenset(to_hex(colour) for colour in (*STATE_COLOURS.values(), *TYPE_COLOURS))
 _LOST: Final = frozenset(to_hex(STATE_COLOURS[name]) for name in ("necrotic", "apoptotic"))
 
@@ -68,7 +69,8 @@ def _in_dark(rgba: Rgba, least: float) -> Rgba:
         card, ink = (np.array(to_rgba(name)[:3]) for name in (CARD, _INK))
         share = min(1.0, 1.15 * (1.0 - rgb.mean()))  # what is nearly black is ink
         rgb = card + share * (ink - card)
-    while not pale and contrast(rgb) < least:
+    ground, seen = np.array(to_rgba(CARD)[:3]), opacity if opacity >= _SEEN else 1.0
+    while not pale and contrast(ground + seen * (rgb - ground)) < least and rgb.min() < 0.99:
         rgb = rgb + 0.05 * (1.0 - rgb)
     red, green, blue = rgb.tolist()
     return red, green, blue, opacity
@@ -109,18 +111,21 @@ def _recolour(artist: Artist) -> None:
         artist.set_color(in_dark(artist.get_color(), _READ))
     elif isinstance(artist, Line2D):
         lost = to_hex(artist.get_color()) in _LOST
-        marker = in_dark(artist.get_markerfacecolor()), in_dark(artist.get_markeredgecolor())
-        artist.set_color(in_dark(artist.get_color()))
-        artist.set_markerfacecolor(marker[0])
-        artist.set_markeredgecolor(marker[1])
+        marker, edge = (
+            in_dark(to_rgba(colour, artist.get_alpha()))
+            for colour in (artist.get_markerfacecolor(), artist.get_markeredgecolor())
+        )
+        artist.set_color(in_dark(to_rgba(artist.get_color(), artist.get_alpha())))
+        artist.set_markerfacecolor(marker)
+        artist.set_markeredgecolor(edge)
         if lost:
             wide = artist.get_linewidth() + 1.6
             artist.set_path_effects([withStroke(linewidth=wide, foreground=_EDGE)])
     elif isinstance(artist, Patch):
         lost = to_hex(artist.get_facecolor()) in _LOST
-        edge: Any = _EDGE if lost else in_dark(artist.get_edgecolor())
+        border: Any = _EDGE if lost else in_dark(artist.get_edgecolor())
         artist.set_facecolor(in_dark(artist.get_facecolor()))
-        artist.set_edgecolor(edge)
+        artist.set_edgecolor(border)
         if lost:
             artist.set_linewidth(0.8)
     elif isinstance(artist, Collection) and artist.get_array() is None:

@@ -82,7 +82,7 @@ def _draw_field(axes: Axes, frame: Frame, profile: RadialProfile, name: str, sce
 
 
 def _draw_parts(axes: Axes, frame: Frame, profile: RadialProfile, scene: Scene) -> None:
-    bottom, width, types = np.zeros(len(profile.counts)), np.diff(profile.edges), list(scene.types)
+    bottom, types = np.zeros(len(profile.counts)), list(scene.types)
     parts, colours = profile.fractions, dict(style.STATE_COLOURS)
     if len(types) > 1:
         kind = frame.cells.kind
@@ -92,8 +92,9 @@ def _draw_parts(axes: Axes, frame: Frame, profile: RadialProfile, scene: Scene) 
     for name in [n for n in reversed(colours) if n in parts and np.nansum(parts[n]) > 0]:
         part = np.nan_to_num(100.0 * parts[name])
         look: dict[str, Any] = {"color": colours[name], "label": style.type_label(name), "lw": 0}
-        axes.bar(profile.middles, part, width, bottom, **look)
-        bottom += part
+        # one area, without lines between its shells where an edge is drawn round it
+        axes.stairs(bottom + part, profile.edges, baseline=bottom, fill=True, **look)
+        bottom = bottom + part
     title = "Cells by type" if len(types) > 1 else "Cells by state"
     # room for the legend above the bars
     axes.set(title=title, ylabel="part of the cells (%)", ylim=(0, 125), yticks=range(0, 101, 25))
