@@ -161,9 +161,9 @@ def make_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
         )
     return folder
 
-    """Return the names of files in a folder, without those that are there only during a run."""
+
 def begun_files(folder: str | Path) -> set[str]:
-    """Return the names of what a folder holds, but for what there is only during a run."""
+    """Return the names of files in a folder, without those that are there only during a run."""
     with suppress(OSError):
         held = {entry.name for entry in Path(folder).iterdir()}
         return held - {LOCK, *LIVE} - {f"{name}.part" for name in LIVE}
