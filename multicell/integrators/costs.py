@@ -1,0 +1,130 @@
+"""What a coupling step costs by each method: a model of counted work, and what a run learns.
+
+With m accuracy steps of a method, z = λΔt, and the motion W of the step, the root mean square of
+the velocities at its beginning times its length, in tolerances,
+
+    m = steps (1 + onset W)^power (1 + z / 100)^-relief (n / 100)^cells
+
+of n cells, and the counted work, in passes over all cells (:attr:`.motion.Work.effort`), is
+
+    start + √(m² + (rate z)²)                 of methods whose steps are limited by stability
+    start + √(m² + rate (1 + m / 3) z)        of a stabilised one, whose stages grow as √z
+    start + m (1 + rate (z / m)^growth)       of implicit ones, by products in each step
+
+A pass costs ``cell`` + ``call`` / n of a compiled evaluation, ``python`` in place of ``call`` where
+evaluations go through Python. The numbers are in ``costs.toml``, measured by the program that is
+named there.
+
+A run corrects the model by what its coupling steps have counted: the mean of log(counted / expected)
+of each method, in which a step that was dearer than expected by one method is taken to be dearer by
+the others, too (``alike``).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from importlib import resources
+from typing import Any, Final, NamedTuple, final
+
+_SURE: Final = 2.0
+"""Largest |log(counted / expected)| that is learnt from one step: one that jams says little."""
+
+
+@cache
+def constants() -> dict[str, Any]:
+    """Return the measured constants; each method has a table."""
+    import tomllib
+
+    text = resources.files("multicell.integrators").joinpath("costs.toml").read_text("utf-8")
+    return tomllib.loads(text)
+
+
+@final
+class CouplingStep(NamedTuple):
+    """What the cost of a coupling step follows from.
+
+    - ``stiffness``: λ times its length
+    - ``motion``, µm: root mean square of the velocities at its beginning, times its length
+    - ``tolerance``, µm
+    - ``cells``: number of cells
+    - ``python``: whether evaluations go through Python
+    """
+
+    stiffness: float
+    motion: float
+    tolerance: float
+    cells: int
+    python: bool
+
+    def work(self, name: str, finer: float = 1.0) -> float:
+        """Return the passes over all cells that a method is expected to take.
+
+        - ``finer``: part of the tolerance that the method is given
+        """
+        c = constants()[name]
+        z = max(self.stiffness, 1e-6)
+        motion = self.motion / (self.tolerance * finer)
+        m = c["steps"] * (1.0 + c["onset"] * motion) ** c["power"]
+        m *= (0.01 * self.cells) ** c["cells"] / (1.0 + 0.01 * z) ** c["relief"]
+        rate, start = c["rate"], c["start"]
+        if c["kind"] == "stability":
+            return float(start + math.hypot(m, rate * z))
+        if c["kind"] == "stabilised":
+            return float(start + math.sqrt(m * m + rate * (1.0 + m / 3.0) * z))
+        return float(start + m * (1.0 + rate * (z / m) ** c["growth"]))
+
+    def unit(self, name: str) -> float:
+        """Return what a pass costs by a method, over a compiled evaluation of all cells."""
+        c = constants()[name]
+        return float(c["cell"] + c["python" if self.python else "call"] / self.cells)
+
+
+@final
+class Learnt(NamedTuple):
+    """What coupling steps so far have taught; all entries are floats, as frames store them.
+
+    - ``ratio``: λ as last measured over its order of magnitude, 0 before
+    - ``age``: coupling steps since then
+    - ``saved``: cost of the coupling steps since the second choice was last tried, in evaluations
+    - ``steps``: how many these were
+    - ``begin``, ``end``, s, ``atol``, µm, ``taken``, ``finer``: the last coupling step, the
+      number of the method that it was given to, and its part of the tolerance
+    - ``first`` to ``fifth``: log(counted / expected) of each method
+    """
+
+    ratio: float = 0.0
+    age: float = 0.0
+    saved: float = 0.0
+    steps: float = 0.0
+    begin: float = -1.0
+    end: float = -1.0
+    atol: float = 0.0
+    taken: float = 0.0
+    finer: float = 1.0
+    first: float = 0.0
+    second: float = 0.0
+    third: float = 0.0
+    fourth: float = 0.0
+    fifth: float = 0.0
+
+    def of(self, begin: float, end: float, atol: float) -> bool:
+        """Return whether the last coupling step was this one."""
+        return self.begin == begin and self.end == end and self.atol == atol
+
+    @property
+    def excess(self) -> tuple[float, ...]:
+        """Log(counted / expected) of each method."""
+        return self[-5:]
+
+    def counted(self, method: int, counted: float, expected: float) -> Learnt:
+        """Return it after a coupling step by a method, given by its number.
+
+        - ``counted``, ``expected``: its passes, the latter without correction
+        """
+        known = constants()
+        found = max(-_SURE, min(_SURE, math.log(max(counted, 1.0) / expected)))
+        change = known["gain"] * (found - self.excess[method])
+        alike = known["alike"] * change
+        excess = [x + (change if k == method else alike) for k, x in enumerate(self.excess)]
+        return Learnt(*self[:-5], *excess)
