@@ -15,9 +15,9 @@ A pass costs ``cell`` + ``call`` / n of a compiled evaluation, ``python`` in pla
 evaluations go through Python. The numbers are in ``costs.toml``, measured by the program that is
 named there.
 
-A run corrects the model by what its coupling steps have counted: the mean of log(counted / expected)
-of each method, in which a step that was dearer than expected by one method is taken to be dearer by
-the others, too (``alike``).
+A run corrects the model by what its coupling steps have counted: the running mean of log(counted /
+expected) of each method (``gain``), in which a step that was dearer than expected by one method is
+taken to be dearer by the others, too (``alike``).
 """
 
 from __future__ import annotations

@@ -89,7 +89,7 @@ def spectrum_ends(
     """Return the ends of the spectrum of J at a state, in :data:`GLANCED` products.
 
     By the Lanczos method, from a vector that is the same in every call, with all directions kept
-    orthogonal. Cells at one height move within their plane.
+    orthogonal. Cells at one height without walls move within their plane.
 
     - ``system``: made ready for the coupling step; its last linearisation is replaced
 
@@ -97,7 +97,8 @@ def spectrum_ends(
     may be higher; float, 1/s: the largest rate of growth, from below, negative if nothing grows.
     """
     system.linearise(time, position)
-    dimensions = 3 if np.ptp(position[:, 2]) > 0.0 else 2
+    flat = system.walls is None and np.ptp(position[:, 2]) == 0.0
+    dimensions = 2 if flat else 3
     product, size = symmetric_product(system, dimensions), dimensions * len(position)
     most = min(GLANCED, size)
     basis, inner = np.empty((most, size)), np.zeros((most, most))
