@@ -108,5 +108,94 @@ def _tuned() -> Changes:
 TUNED = _tuned()
 """What the model of costs is fitted to."""
 
-UNSEEN: Changes = {}
+UNSEEN: Changes = {
+    "120 growing in honey": (
+        "grow-2000",
+        {"initial.count": 120, "drag.viscosity": 12.0, "growth.cycle_time": "9 h"},
+    ),
+    "500 growing at 0.15": (
+        "grow-2000",
+        {"initial.count": 500, "drag.viscosity": 0.15, "initial.spacing": 0.95},
+    ),
+    "40 soft cells in water": (
+        "settle",
+        {
+            "initial.count": 40,
+            "drag.viscosity": 0.002,
+            "cells.young": "0.2 kPa",
+            "coupling_step": "15 min",
+            "duration": "3 h",
+        },
+    ),
+    "runners": (
+        "settle",
+        {
+            "initial.count": 150,
+            "motility": {"force": "0.5 nN", "persistence": "20 min"},
+            "drag.viscosity": 0.8,
+            "coupling_step": "10 min",
+            "duration": "2 h",
+        },
+    ),
+    "slab between walls": (
+        "growth",
+        {
+            "initial.count": 60,
+            "initial.stage": "uniform",
+            "drag.viscosity": 0.1,
+            "domain": {
+                "x": ["-60 um", "60 um"],
+                "y": ["-60 um", "60 um"],
+                "z": ["-14 um", "14 um"],
+            },
+            "duration": "4 h",
+        },
+    ),
+    "plane of springs": (
+        "grow-2000",
+        {
+            "initial.count": 200,
+            "dimensions": 2,
+            "initial.jitter": 0.0,
+            "contact": {"law": "cubic"},
+            "drag.viscosity": 0.4,
+        },
+    ),
+    "exact JKR at 0.1": (
+        "grow-2000",
+        {
+            "initial.count": 50,
+            "contact": {"law": "exact-jkr", "surface_energy": 0.2},
+            "drag.viscosity": 0.1,
+        },
+    ),
+    "rubbing cells": (
+        "grow-2000",
+        {
+            "initial.count": 45,
+            "friction": {"normal": 0.02, "tangential": 0.2},
+            "drag.viscosity": 0.5,
+        },
+    ),
+    "shaken": (
+        "settle",
+        {
+            "initial.count": 70,
+            "motility": {"diffusion": "0.02 um^2/s"},
+            "drag.viscosity": 0.05,
+            "coupling_step": "2 min",
+            "duration": "1 h",
+        },
+    ),
+    "newborn sheet at 0.01": (
+        "grow-2000",
+        {
+            "initial.count": 300,
+            "initial.stage": "birth",
+            "dimensions": 2,
+            "initial.jitter": 0.01,
+            "drag.viscosity": 0.01,
+        },
+    ),
+}
 """What was written down after the last fit."""
