@@ -270,7 +270,7 @@ def _costs(
     excess: tuple[float, ...],
     pressed: float = 1.0,
 ) -> dict[str, float]:
-    """Return what each method is expected to cost, in evaluations of all cells."""
+    """Return the expected cost of each method, in evaluations of all cells."""
     costs = {}
     for name in able:
         kind = CANDIDATES[name]

@@ -1,4 +1,4 @@
-"""What a coupling step costs by each method: a model of counted work, and what a run learns.
+"""Cost of a coupling step by each method: a model of counted work, which a run corrects.
 
 With m accuracy steps of a method, z = λΔt, and the motion W of the step, the root mean square of
 the velocities at its beginning times its length, in tolerances,
@@ -42,7 +42,7 @@ def constants() -> dict[str, Any]:
 
 @final
 class CouplingStep(NamedTuple):
-    """What the cost of a coupling step follows from.
+    """Properties of a coupling step from which its cost follows.
 
     - ``stiffness``: λ times its length
     - ``motion``, µm: root mean square of the velocities at its beginning, times its length
@@ -75,14 +75,14 @@ class CouplingStep(NamedTuple):
         return float(start + m * (1.0 + rate * (z / m) ** c["growth"]))
 
     def unit(self, name: str) -> float:
-        """Return what a pass costs by a method, over a compiled evaluation of all cells."""
+        """Return the cost of a pass by a method, over a compiled evaluation of all cells."""
         c = constants()[name]
         return float(c["cell"] + c["python" if self.python else "call"] / self.cells)
 
 
 @final
 class Learnt(NamedTuple):
-    """What coupling steps so far have taught; all entries are floats, as frames store them.
+    """Lessons of the coupling steps so far; all entries are floats, as frames store them.
 
     - ``ratio``: λ as last measured over its order of magnitude, 0 before
     - ``age``: coupling steps since then

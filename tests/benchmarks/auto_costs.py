@@ -92,7 +92,7 @@ def steps_of(scene: mc.Scene, unseen: bool) -> list[tuple[int, ReplayProblem]]:
 
 
 def state_of(problem: ReplayProblem) -> Row:
-    """Return what the cost of a step may follow from, as `auto` finds it."""
+    """Return properties of a step from which its cost may follow, as `auto` finds them."""
     system, position = problem.system(), problem.start
     system.begin(problem.steps[0].motion)
     motion = system.motion
@@ -127,7 +127,7 @@ def taken_by(system: Any, name: str) -> str:
 
 
 def unit(name: str, about: Row) -> float:
-    """Return what a pass costs; of a method that `auto` does not choose from as of `rkc2`."""
+    """Return the cost of a pass; of a method that `auto` does not choose from as of `rkc2`."""
     like = {"cvode-adams": "cvode"}.get(name, "rkc2")
     step = costs.CouplingStep(1.0, 1.0, 1.0, about["cells"], about["python"])
     return step.unit(name if name in auto.CANDIDATES else like)

@@ -201,7 +201,7 @@ def _samples(rows: list[Row], units: dict[str, dict[str, float]]) -> list[Sample
 
 
 class _Target:
-    """What is minimised, over all samples at once."""
+    """The function that is minimised, over all samples at once."""
 
     def __init__(self, samples: list[Sample]) -> None:
         self.samples = samples
