@@ -7,7 +7,8 @@ From the top folder, after ``pip install ".[docs]"``::
 Pages with a ``file_format: mystnb`` header are executed, each in a folder of its own that goes
 afterwards. A cell that raises fails the build, and so does a line ``!command`` that ends with an
 exit code other than 0: ``kernel.py`` among the extensions makes IPython raise there, which it does
-not by itself. A cell that fails on purpose carries the tag ``raises-exception``. Programs of
+not by itself. A cell that fails on purpose carries the tag ``raises-exception``. Tutorials find the
+packages only that they tell readers to install (``environments.py``). Programs of
 ``examples/`` are run for the gallery unless their docstring says "not run in the documentation".
 
 Pages load nothing from other servers; ``offline.py`` fails the build where one would.
@@ -44,6 +45,7 @@ extensions = [
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
     "sphinxcontrib.bibtex",
+    "environments",
     "gallery",
     "kernel",
     "notebooks",

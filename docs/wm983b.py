@@ -160,7 +160,7 @@ def fit() -> None:
 
 def draws_of(found: mc.Fit, count: int) -> list[dict[str, str]]:
     """Return draws from the posterior as settings of the scene."""
-    shares, _ = found.sample
+    shares = found.some_sample()
     ranges = found.problem.ranges
     chosen = shares[:: len(shares) // count][:count]
     return [

@@ -13,6 +13,8 @@ from multicell.calibration.sensitivity.analysis import sensitivity as sensitivit
 from multicell.calibration.sensitivity.result import Sensitivity as Sensitivity
 from multicell.cells import Cells as Cells
 from multicell.cells import State as State
+from multicell.comparison.field_precision import FieldPrecision as FieldPrecision
+from multicell.comparison.field_precision import compare_fields as compare_fields
 from multicell.comparison.network_precision import NetworkPrecision as NetworkPrecision
 from multicell.comparison.network_precision import compare_networks as compare_networks
 from multicell.comparison.result import WorkPrecision as WorkPrecision

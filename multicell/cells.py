@@ -208,7 +208,7 @@ class Cells:
     def take(self, index: NDArray[Any]) -> Cells:
         """Return copies of the cells at ``index`` (integers or a mask), in that order."""
         if index.dtype == np.bool_:
-            index = np.flatnonzero(index)
+            (index,) = index.nonzero()
         return _made({name: column.take(index, axis=0) for name, column in vars(self).items()})
 
     def copy(self) -> Cells:
@@ -237,7 +237,7 @@ class Cells:
     def replaced(self, index: NDArray[Any], other: Cells) -> Cells:
         """Return the cells at ``index`` followed by those of ``other``, column by column."""
         if index.dtype == np.bool_:
-            index = np.flatnonzero(index)
+            (index,) = index.nonzero()
         return _made(
             {
                 name: np.concatenate([column.take(index, axis=0), getattr(other, name)])

@@ -113,12 +113,13 @@ def uniform(
     ids = np.asarray(ids, dtype=np.int64)
     if not 0 <= seed < _WORD:
         raise SceneError("seed", f"is {seed}, must be a whole number from 0 to 2**64 - 1")
-    if min(np.min(event, initial=0), count, attempt) < 0 or ids.min(initial=0) < 0:
+    first = event if isinstance(event, int) else int(np.min(event, initial=0))
+    if min(first, count, attempt) < 0 or ids.min(initial=0) < 0:
         raise ValueError("event, count, attempt and cell ids must not be negative")
     blocks = -(-count // 4)
     counter = np.empty((4, len(ids), blocks), dtype=np.uint64)
     counter[0] = np.arange(blocks, dtype=np.uint64)
-    counter[1] = np.reshape(event, (-1, 1))
+    counter[1] = event if isinstance(event, int) else np.reshape(event, (-1, 1))
     counter[2] = ids[:, None]
     counter[3] = attempt
     words = philox(counter, (seed, int(purpose))).transpose(1, 2, 0)
@@ -161,7 +162,7 @@ def truncated_normal(
     ids = np.asarray(ids, dtype=np.int64)
     z = normal(seed, purpose, event, ids)[:, 0]
     attempt = 0
-    outside = np.flatnonzero(np.abs(z) > limit)
+    (outside,) = (np.abs(z) > limit).nonzero()
     while outside.size:
         attempt += 1
         z[outside] = normal(seed, purpose, event, ids[outside], attempt=attempt)[:, 0]

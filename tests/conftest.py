@@ -68,6 +68,20 @@ def _compiles_more(item):
     return False
 
 
+def _sample(items, whole):
+    """Mark as slow what the marker ``sample`` does not name; all that it names must be there."""
+    missing = {}
+    for item in items:
+        if marker := item.get_closest_marker("sample"):
+            left = missing.setdefault(item.nodeid.partition("[")[0], set(marker.args))
+            left.discard(item.callspec.id)
+            if item.callspec.id not in marker.args:
+                item.add_marker(pytest.mark.slow)
+    wrong = {name: left for name, left in missing.items() if left}
+    if whole and wrong:
+        raise pytest.UsageError(f"the marker sample names parameters that are not there: {wrong}")
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
     moving = [item.nodeid for item in items if " at 0x" in item.nodeid]
@@ -78,6 +92,7 @@ def pytest_collection_modifyitems(config, items):
     for item in items:
         if item.get_closest_marker("kernels") and _compiles_more(item):
             item.add_marker(pytest.mark.slow)
+    _sample(items, whole=not any("::" in name for name in config.args))
     # here and not by an option -m, in whose place the user's would stand
     if "benchmark" not in config.option.markexpr:
         timed = [item for item in items if item.get_closest_marker("benchmark")]

@@ -1,10 +1,11 @@
 """Rules for every test and every file, read from their source."""
 
 import ast
+import functools
+import importlib
 from pathlib import Path
 from types import SimpleNamespace
 
-import notebook_runner
 import pytest
 
 TESTS = Path(__file__).parent
@@ -13,6 +14,7 @@ FILES = sorted(TESTS.rglob("*.py"))
 CHECKS = ("assert_", "check_", "raises", "warns")
 
 
+@functools.cache
 def tree(path):
     return ast.parse(path.read_text(encoding="utf-8"))
 
@@ -121,9 +123,10 @@ def test_imports_of_test_files_are_seen(tmp_path):
     assert imported(path) == ["test_rules", "test_names", "tests.helpers.a"]
 
 
-def test_tests_run_with_what_the_readme_installs_for_them(tmp_path):
+def test_tests_run_with_what_the_readme_installs_for_them(tmp_path, monkeypatch):
     """An environment of developers has more: Sphinx, notebooks, linters."""
-    missing = notebook_runner.refused([".[test]"])
+    monkeypatch.syspath_prepend(str(TESTS.parent / "docs" / "extensions"))
+    missing = importlib.import_module("requirements").refused([".[test]"])
     assert "pytest" not in missing
     assert broken(lambda path: beyond(path, missing)) == {}
     path = tmp_path / "test_more.py"
@@ -145,6 +148,7 @@ def test_benchmarks_run_where_they_are_asked_for(asked, left, request):
     (own,) = (p for p in request.config.pluginmanager.get_plugins() if hasattr(p, "ROOMS"))
     gone = []
     config = SimpleNamespace(
+        args=[],
         option=SimpleNamespace(markexpr=asked),
         hook=SimpleNamespace(pytest_deselected=lambda items: gone.extend(items)),
     )
@@ -159,3 +163,26 @@ def test_benchmarks_run_where_they_are_asked_for(asked, left, request):
     items[0].nodeid += "[<function f at 0x7f0d7967f4c0>]"
     with pytest.raises(pytest.UsageError, match="an address in its name"):
         own.pytest_collection_modifyitems(config, items)
+
+
+def test_all_but_a_sample_is_slow(request):
+    """Misspelt parameters would make all of a test slow."""
+    (own,) = (p for p in request.config.pluginmanager.get_plugins() if hasattr(p, "ROOMS"))
+
+    def collected(*asked, node="tests"):
+        slow, items = [], []
+        for name in ("a", "b", "c"):
+            markers = {"sample": SimpleNamespace(args=asked)}
+            items.append(SimpleNamespace(
+                path=Path("tests/a.py"), nodeid=f"tests/a.py::test[{name}]",
+                get_closest_marker=markers.get, callspec=SimpleNamespace(id=name),
+                add_marker=lambda _, name=name: slow.append(name),
+            ))  # fmt: skip
+        option = SimpleNamespace(markexpr="benchmark")
+        own.pytest_collection_modifyitems(SimpleNamespace(args=[node], option=option), items)
+        return "".join(slow)
+
+    assert collected("a", "c") == "b"
+    with pytest.raises(pytest.UsageError, match=r"tests/a.py::test.*'d'"):
+        collected("a", "d")
+    assert collected("a", "d", node="tests/a.py::test[a]") == "bc"

@@ -146,7 +146,7 @@ def test_public_names():
         "SceneError", "Simulation", "StabilityMap", "State", "StepFailed", "WorkPrecision",
         "compare", "export", "load_result", "load_scene", "resume", "run", "scene_names",
         "compare_networks", "network_stability", "NetworkPrecision", "moving_stability",
-        "FailureMap",
+        "FailureMap", "compare_fields", "FieldPrecision",
         "stability", "Integrator", "MethodInfo", "OdeProblem", "Outcome", "StateRejected",
         "ode_problem", "testing", "load_law", "pair_law", "OwnReaction", "Imported",
         "import_physicell",

@@ -2,8 +2,8 @@
 
 Problem   asynchronous cells of the scene `spheroid` in rich medium: all grow, divide and eat
           oxygen, a steady field on cubes. One hour after one coupling step to settle in. With
-          --physicell the same number of cells there (physicell_speed.py), and single commands
-          as a user gives them
+          --physicell the same number of cells there (physicell_speed.py), with --pyphysicell in
+          that package as well, and single commands as a user gives them
 Measured  wall time of that hour in a process of its own, with one thread and with all; peak memory
           above what the process held before; the share of each part of a step. Medians of rounds:
           each round measures everything once, every other round in reverse, so that a machine
@@ -14,9 +14,11 @@ Cost      a round takes five minutes on 2 cores, with a million cells; PhysiCell
           three to five more with 12 simulated minutes
 Command   python docs/programs/performance.py --physicell FOLDER [--rounds 5] [--cells 100 1000 ...]
           [--threads 1 2] [--beside 10000 100000] [--parts hour beside runs] [--minutes 6 6]
+          [--pyphysicell PYTHON]
           python docs/programs/performance.py --tables     only makes the page from the table
 
-FOLDER is a built template project of PhysiCell, its sources, or an archive of them. The rows of
+FOLDER is a built template project of PhysiCell, its sources, or an archive of them; PYTHON an
+interpreter that has pyphysicell. The rows of
 docs/chart-data/speed.csv are replaced by what is measured, and docs/performance.md is made from it;
 other pages quote it (speed_tables.py).
 """
@@ -40,7 +42,7 @@ from typing import Any
 
 import pandas as pd
 import speed_tables
-from physicell_speed import build, hour, version
+from physicell_speed import build, hour, port_hour, port_version, version
 
 DOCS = Path(__file__).parents[1]
 CELLS = (100, 1_000, 10_000, 100_000, 1_000_000)
@@ -98,11 +100,11 @@ def apart(cells: int, threads: int) -> dict[str, Any]:
     return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
-def measure_physicell(
-    place: Path, cells: int, threads: int, minutes: tuple[float, float]
+def measure_other(
+    how: Callable[..., float], cells: int, minutes: tuple[float, float], threads: int
 ) -> dict[str, Any]:
-    """Measure PhysiCell."""
-    return {"seconds": hour(place, cells, minutes, threads), "simulated_min": minutes[1]}
+    """Measure another program, by a function that returns the seconds of a simulated hour."""
+    return {"seconds": how(cells, minutes, threads), "simulated_min": minutes[1]}
 
 
 def time_command(words: list[str], fresh: bool = False) -> dict[str, Any]:
@@ -146,10 +148,15 @@ def jobs(given: argparse.Namespace, place: Path | None) -> list[Job]:
             for threads in given.threads:
                 add("hour", "multicell", cells, threads, partial(apart, cells, threads))
     if "beside" in given.parts and place is not None:
-        most = max(given.threads)
+        most, minutes = max(given.threads), tuple(given.minutes)
+        others = [(version(place), partial(hour, place))]
+        if given.pyphysicell is not None:
+            python = given.pyphysicell.absolute()
+            others.append((port_version(python), partial(port_hour, python, place)))
         for cells in given.beside:
-            theirs = partial(measure_physicell, place, cells, most, tuple(given.minutes))
-            add("beside", version(place), cells, most, theirs)
+            for program, how in others:
+                theirs = partial(measure_other, how, cells, minutes, most)
+                add("beside", program, cells, most, theirs)
             add("beside", "multicell", cells, most, partial(apart, cells, most))
     if "runs" in given.parts:
         whole = ["run", "spheroid", "--quiet"]
@@ -182,6 +189,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--parts", nargs="+", default=["hour", "beside", "runs"])
     parser.add_argument("--physicell", type=Path, help="a folder of PhysiCell, or an archive")
+    parser.add_argument("--pyphysicell", type=Path, help="an interpreter that has pyphysicell")
     parser.add_argument("--beside", type=int, nargs="+", default=list(BESIDE))
     parser.add_argument(
         "--minutes", type=float, nargs=2, default=[6.0, 6.0], help="PhysiCell's warm-up and window"

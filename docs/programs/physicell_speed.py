@@ -5,6 +5,8 @@ Problem   a ball of cells that grow, divide and take up oxygen from a field with
           6 min) and voxels of 20 um, without output
 Measured  what the program itself reports at simulated times 6 minutes apart, one step of its
           phenotypes: the time between two of them, after a warm-up, scaled to an hour
+Beside    with --pyphysicell the same settings in pyphysicell, PhysiCell's model as a package of
+          Python: the window's time by the clock
 Separated start, reading of the settings, the two snapshots and the pictures that the template
           writes before its loop and after it
 """
@@ -17,6 +19,7 @@ import shutil
 import subprocess
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -131,3 +134,35 @@ def hour(place: Path, cells: int, minutes: tuple[float, float], threads: int) ->
     if len(totals) != warm + window + 1:
         raise ValueError(f"PhysiCell reported {len(totals)} times, not {warm + window + 1}")
     return (totals[-1] - totals[warm]) * 60.0 / (window * PHENOTYPES)
+
+
+_IN_PYTHON: Final = """
+import sys, time
+import pyphysicell as pc
+cells, warm, window = (float(word) for word in sys.argv[1:])
+simulation = pc.Simulation(pc.load("."), seed=0)
+assert simulation.cells.n == cells, f"pyphysicell began with {simulation.cells.n} cells"
+simulation.run(until=warm)
+begin = time.perf_counter()
+simulation.run(until=warm + window)
+print(time.perf_counter() - begin)
+"""
+
+
+def port_version(python: Path) -> str:
+    """Return the name and version of the pyphysicell that an interpreter has."""
+    asked = "import importlib.metadata as m; print(m.version('pyphysicell'))"
+    done = subprocess.run([python, "-c", asked], check=True, capture_output=True, text=True)
+    return f"pyphysicell {done.stdout.strip()}"
+
+
+def port_hour(
+    python: Path, place: Path, cells: int, minutes: tuple[float, float], threads: int
+) -> float:
+    """Return the wall time of a simulated hour in pyphysicell, s, of the window of :func:`hour`."""
+    prepare(place, cells, sum(minutes), threads)
+    done = subprocess.run(
+        [python, "-c", _IN_PYTHON, str(cells), *(str(m) for m in minutes)], cwd=place, check=True,
+        capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": str(threads)},
+    )  # fmt: skip
+    return float(done.stdout.splitlines()[-1]) * 60.0 / minutes[1]

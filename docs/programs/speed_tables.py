@@ -59,11 +59,13 @@ def medians(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def ratios(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return how many times as long PhysiCell takes in each round, with the number of cells."""
+    """Return how many times as long other programs take in each round, by ``program`` and cells."""
     beside = rows[rows["what"] == "beside"]
     ours = beside["program"] == "multicell"
-    both = beside[~ours].merge(beside[ours], on=["cells", "threads", "round"])
-    return both.assign(ratio=both["seconds_x"] / both["seconds_y"])
+    both = beside[~ours].merge(
+        beside[ours], on=["cells", "threads", "round"], suffixes=("", "_ours")
+    )
+    return both.assign(ratio=both["seconds"] / both["seconds_ours"])
 
 
 def figures() -> dict[str, float]:
@@ -79,13 +81,13 @@ def figures() -> dict[str, float]:
             if row.threads == 1:
                 found[f"memory in GB, {row.cells} cells"] = row.kB_per_cell * row.cells / 1e6
         elif row.what == "beside":
-            name = "multicell" if row.program == "multicell" else "PhysiCell"
+            name = row.program.split()[0]  # without its version
             found[f"{name} beside the other, {row.cells} cells"] = row.seconds
         else:
             found[f"{row.what}, s"] = row.seconds
             found[f"{row.what}, min"] = row.seconds / 60.0
-    for cells, both in ratios(rows).groupby("cells"):
-        found[f"times PhysiCell, {cells} cells"] = both["ratio"].median()
+    for (program, cells), both in ratios(rows).groupby(["program", "cells"]):
+        found[f"times {program.split()[0]}, {cells} cells"] = both["ratio"].median()
     hours = middle[middle["what"] == "hour"].pivot(index="cells", columns="threads")["seconds"]
     for cells, times in hours.dropna().iterrows():
         found[f"gain of {max(hours.columns)} threads, {cells} cells"] = (
@@ -221,22 +223,21 @@ def scaling(rows: pd.DataFrame) -> str:
 
 
 def comparison(rows: pd.DataFrame) -> str:
-    """Return the table of both programs, with the medians of the ratios of the rounds."""
+    """Return the table of other programs, with the medians of the ratios of the rounds."""
     chosen = rows[rows["what"] == "beside"]
     middle = medians(chosen).set_index(["cells", "program"])
-    (name,) = set(chosen["program"]) - {"multicell"}
-    lines = [["cells", f"{name}, a simulated hour", "multicell, a simulated hour", "ratio"]]
-    for cells, found in ratios(chosen).groupby("cells"):
+    lines = [["cells", "program", "a simulated hour there", "in multicell", "ratio"]]
+    for (cells, program), found in ratios(chosen).groupby(["cells", "program"]):
         texts = []
-        for program in (name, "multicell"):
-            row = middle.loc[cells, program]
+        for name in (program, "multicell"):
+            row = middle.loc[cells, name]
             ends = "" if row.rounds == 1 else f" ({spread(row)})"
             texts.append(f"{row.seconds:.3g} s{ends}")
         part = found["ratio"]
         ends = "" if len(part) == 1 else f" ({part.min():,.0f} to {part.max():,.0f})"
-        lines.append([f"{cells:,}", *texts, f"{part.median():,.0f}{ends}"])
-    window = chosen.loc[chosen["program"] == name, "simulated_min"]
-    scaled = f"An hour of {name} is scaled from {window.min():g} simulated minutes."
+        lines.append([f"{cells:,}", program, *texts, f"{part.median():,.0f}{ends}"])
+    window = chosen.loc[chosen["program"] != "multicell", "simulated_min"]
+    scaled = f"An hour of the other programs is scaled from {window.min():g} simulated minutes."
     return f"{origin(chosen)} {scaled}\n\n{table(lines)}"
 
 

@@ -3,10 +3,9 @@
 Data      docs/data/wm793b-5000-half.csv (Browning et al. 2021): spheroids of 5,000 cells
 Model     a variant of wm983b_mechanisms.py in air, cells of three times the diameter
 Search    as in wm983b_regimes.py, from the best point of WM983b
-Predicted days 5, 10, 14, 18 and 24, whose data no fit has seen
-Command   python docs/programs/wm793b.py --fit           fit, in wm793b-fit.json with predictions
-          python docs/programs/wm793b.py                 the fit's table
-          python docs/programs/wm793b.py --judge FILE    predictions beside other days' data
+Predicted days 5, 10, 14, 18 and 24 (docs/data/wm793b-5000-rest.csv), which the fit did not use
+Command   python docs/programs/wm793b.py --fit    fit and predictions, in wm793b-fit.json
+          python docs/programs/wm793b.py          tables and the picture
 """
 
 from __future__ import annotations
@@ -25,15 +24,19 @@ import numpy as np
 import wm983b_mechanisms as mechanisms
 import wm983b_nulls as nulls
 import wm983b_regimes as regimes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
 import multicell as mc
 from multicell.errors import MulticellError
+from multicell.report.plots.style import BLUE, INK, QUIET, RED, save_figure, styled
 
 Array = NDArray[np.float64]
 
 DATA = regimes.HERE / "data" / "wm793b-5000-half.csv"
+OTHERS = regimes.HERE / "data" / "wm793b-5000-rest.csv"
+"""The days that are predicted."""
 KEPT = regimes.HERE / "data" / "wm793b-fit.json"
 MECHANISM = "relative"
 """Of those of WM983b the one whose oxygen in air is that measured."""
@@ -45,13 +48,11 @@ def main() -> None:
     """Do what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--fit", action="store_true")
-    parser.add_argument("--judge", type=Path, metavar="FILE", help="columns as those of the data")
-    wanted = parser.parse_args()
-    if wanted.fit:
+    if parser.parse_args().fit:
         KEPT.write_text(json.dumps(fit()) + "\n")
-    elif not KEPT.exists():
-        parser.error(f"{KEPT.name} is not there: begin with --fit")
-    show(DATA if wanted.judge is None else wanted.judge)
+    kept = json.loads(KEPT.read_text())
+    show(kept)
+    save_figure(draw(kept), regimes.HERE / "figures" / "wm793b.png")
 
 
 def measured(path: Path = DATA) -> tuple[Array, Array, Array]:
@@ -135,24 +136,55 @@ def null_models(days: Array) -> dict[str, Array]:
     }
 
 
-def show(path: Path) -> None:
+def show(kept: dict[str, Any]) -> None:
     """Print how far the model and the null models are from data, in deviations."""
-    kept, (days, mean, sd) = json.loads(KEPT.read_text()), measured(path)
-    place = np.searchsorted(DAYS, days)
-    bands, found = np.array(kept["bands"])[:, place], np.array(kept["course"])[place]
     print(f"chi squared {kept['chi_squared']} for {measured()[1].size} data; um")
-    for k, day in enumerate(days):
-        low, high = bands[:, k].min(axis=0), bands[:, k].max(axis=0)
-        ends = "  ".join(
-            f"{x:5.0f} ({a:.0f} to {b:.0f}) measured {m:.0f}"
-            for x, a, b, m in zip(found[k], low, high, mean[k], strict=True)
-        )
-        print(f"day {day:3g}  {ends}")
+    for path in (DATA, OTHERS):
+        days, mean, _ = measured(path)
+        bands, found = predicted(kept, days)
+        for k, day in enumerate(days):
+            low, high = bands[:, k].min(axis=0), bands[:, k].max(axis=0)
+            ends = "  ".join(
+                f"{x:5.0f} ({a:.0f} to {b:.0f}) measured {m:.0f}"
+                for x, a, b, m in zip(found[k], low, high, mean[k], strict=True)
+            )
+            print(f"day {day:3g}  {ends}")
     print("rms of (model - mean) / sd     outer  inhibited  necrotic    all")
-    regimes.show(kept["mechanism"], (found - mean) / sd, None)
-    if path != DATA:
-        for name, radii in null_models(days).items():
-            regimes.show(name, (radii - mean) / sd, None)
+    days, mean, sd = measured()
+    regimes.show("model, fitted days", (predicted(kept, days)[1] - mean) / sd, None)
+    days, mean, sd = measured(OTHERS)
+    inside = days < measured()[0][-1]
+    for name, radii in {"model": predicted(kept, days)[1], **null_models(days)}.items():
+        off = (radii - mean) / sd
+        regimes.show(name, off, None)
+        regimes.show("  between fitted days", off[inside], None)
+
+
+def predicted(kept: dict[str, Any], days: Array) -> tuple[Array, Array]:
+    """Return radii of what fits, (draws, days, 3), and of the best point, (days, 3) um."""
+    place = np.searchsorted(DAYS, days)
+    return np.array(kept["bands"])[:, place], np.array(kept["course"])[place]
+
+
+@styled
+def draw(kept: dict[str, Any]) -> Figure:
+    """Draw three radii over days: means with deviations, model with its range, null models."""
+    figure = Figure(figsize=(11.0, 4.0), layout="constrained")
+    (bands, course), rivals = predicted(kept, DAYS), null_models(DAYS)
+    marks = ((DATA, INK, "fitted"), (OTHERS, RED, "predicted"))
+    for k, (ax, name) in enumerate(zip(figure.subplots(1, 3), regimes.COLUMNS, strict=True)):
+        low, high = bands[..., k].min(axis=0), bands[..., k].max(axis=0)
+        ax.fill_between(DAYS, low, high, color=BLUE, alpha=0.2, lw=0)
+        ax.plot(DAYS, course[:, k], color=BLUE, label="model, range of what fits")
+        ax.plot(DAYS, rivals["Greenspan"][:, k], "--", color=QUIET, label="Greenspan 1972")
+        for path, color, title in marks:
+            days, mean, sd = measured(path)
+            ax.errorbar(
+                days, mean[:, k], sd[:, k], fmt="o", ms=4, color=color, capsize=2, label=title
+            )
+        ax.set(title=f"{name} radius / µm", xlabel="day")
+    figure.axes[0].legend(fontsize=9.5, loc="lower right")
+    return figure
 
 
 if __name__ == "__main__":

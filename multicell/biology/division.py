@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multicell import random
 from multicell.biology.cycle import enter_cycle
@@ -42,6 +43,23 @@ _NONE: Signals = {}
 
 _AT_BIRTH = ("mutation to", "asymmetric division to")
 """Behaviours that are chances of each daughter, and of exactly one, to be of another type."""
+
+
+@final
+class Turns(NamedTuple):
+    """Living cells that die or become another type within a step.
+
+    - ``row``, (k,), and ``part``, (k,): of the step
+    - ``kind``, ``becomes``, (k,): types before and after
+    - ``dies``, (k,) bool
+    """
+
+    row: IntArray
+    part: FloatArray
+    kind: NDArray[np.integer]
+    becomes: NDArray[np.integer]
+    dies: Mask
+
 
 BirthChances: TypeAlias = "Sequence[FloatArray | None]"
 """For each behaviour at a division the chances of each type, (n, types), or None."""
@@ -191,12 +209,16 @@ def _grow_since(
     daughters.radius = np.cbrt(volume / SPHERE)
 
 
-def change_types(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> Cells:
+def change_types(
+    plan: BiologyPlan, cells: Cells, exposure: Exposure, found: list[Turns] | None = None
+) -> Cells:
     """Return the cells after those have changed their type whose time came in a step.
 
     A living cell changes when the integral of all its rates k_j of becoming type j reaches its
     threshold, and then becomes j by the share of k_j: a Markov chain. From then on it is exposed as
     a cell of that type, with a new threshold, and may change again in the same step.
+
+    - ``found``: list that the changes are added to
     """
     known = tuple(part for name in changing(plan.responses) for part in plan.responses[name])
     after, rows = cells.shared(), np.flatnonzero(~cells.dead)
@@ -218,6 +240,8 @@ def change_types(plan: BiologyPlan, cells: Cells, exposure: Exposure) -> Cells:
         ends = np.cumsum(rates[turns], axis=1)
         u = random.uniform(plan.seed, Purpose.CHANGE, count[rows], cells.id[rows], attempt=1)
         kinds = np.minimum((u * ends[:, -1:] >= ends).sum(axis=1), len(plan.types) - 1)
+        if found is not None:
+            found.append(Turns(rows, since, after.kind[rows], kinds, np.zeros(len(rows), bool)))
         _become(plan, after, rows, kinds)
         exposure.cells.kind = after.kind[rows]
         integral[rows] = 0.0

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cached_property, partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 import numpy as np
 
@@ -52,6 +52,36 @@ _AFTER: Final = 1e-9  # of a step, after which a death has changed it
 
 
 @final
+class Jumps(NamedTuple):
+    """Jumps of signals within a step, at moments of each cell's own.
+
+    - ``part``, (m, n): parts of the step at which they are, rising; 1 where there is none
+    - ``first``, ``last``, name -> (m, n): their sizes if they were at the step's begin, and end
+    """
+
+    part: FloatArray
+    first: Mapping[str, FloatArray]
+    last: Mapping[str, FloatArray]
+
+    def of_some(self, rows: IntArray) -> Jumps:
+        """Return those of some of the cells."""
+        first, last = ({x: sizes[:, rows] for x, sizes in end.items()} for end in self[1:])
+        return Jumps(self.part[:, rows], first, last)
+
+    def of_signals(self, names: Collection[str]) -> FloatArray | None:
+        """Return the parts of the step at which any of the signals may jump, (m, n), or None."""
+        return None if self.first.keys().isdisjoint(names) else self.part
+
+    def sizes(self, name: str, part: Any, jumped: Any) -> FloatArray:
+        """Return the sum of the jumps of a signal at a part of the step, (n,).
+
+        - ``jumped``: part of the step until which jumps count
+        """
+        sizes = self.first[name] + part * (self.last[name] - self.first[name])
+        return np.asarray(np.where(self.part <= jumped, sizes, 0.0).sum(axis=0))
+
+
+@final
 class Exposure:
     """The signals of cells over a coupling step; nothing is computed before it is asked for.
 
@@ -60,6 +90,7 @@ class Exposure:
     - ``began``, ``before``: cells and signals at its beginning; absent: as at the end
     - ``inner``, name -> Course: what is known in between
     - ``held``: signals that jump at the end of the step, before which they were as at its beginning
+    - ``jumps``: of signals within it, by deaths and changes of neighbours
 
     - ``until``, (n,) or a number: part of the step after which nothing counts
     """
@@ -74,11 +105,12 @@ class Exposure:
         before: Signals | None = None,
         inner: Mapping[str, Course] | None = None,
         held: Collection[str] = (),
+        jumps: Jumps | None = None,
     ) -> None:
         self.cells, self.signals, self.length = cells, signals, length
         self.began = cells if began is None else began
         self.before = signals if before is None else before
-        self.inner, self.held = inner or {}, held
+        self.inner, self.held, self.jumps = inner or {}, held, jumps
         self.until: Any = 1.0
         self._known: dict[str, Course] = {}
 
@@ -97,6 +129,7 @@ class Exposure:
             before=self.before,
             held=self.held,
             inner={name: (at, values[:, rows]) for name, (at, values) in self.inner.items()},
+            jumps=None if self.jumps is None else self.jumps.of_some(rows),
         )
         part.row = self.row[rows]
         return part
@@ -187,10 +220,10 @@ class Exposure:
         - ``since``, (n,): part of the step from which it counts
         """
         first, one = np.full(len(self.cells), np.inf), (awaited,)
-        for low, high in pairwise(self._knots(one).tolist()):
-            begin = np.maximum(low, since)
+        for low, high in self._between_jumps(one):
+            begin, middle = np.maximum(low, since), 0.5 * (low + high)
             before, after = (
-                awaited.sign * (awaited.level(*self._at(part, one), None) - awaited.value)
+                awaited.sign * (awaited.level(*self._at(part, one, middle), None) - awaited.value)
                 for part in (begin, high)
             )
             rise = np.where(after > before, after - before, 1.0)
@@ -208,7 +241,10 @@ class Exposure:
         - ``slope``, 1/s²: at the end of the step before; None: it may have jumped since
         """
         knots, living = self._knots(known), ~self.cells.dead
-        rates = np.array([rate(*self._at(part, known))[living].sum() for part in knots.tolist()])
+        # jumps are exact: what is left out lies between them
+        rates = np.array(
+            [rate(*self._at(part, known, -1.0))[living].sum() for part in knots.tolist()]
+        )
         ahead = float(rates[-1] - rates[-2]) / float(knots[-1] - knots[-2]) / self.length
         if len(knots) == 2:
             change = 0.0 if slope is None else ahead - slope
@@ -222,31 +258,47 @@ class Exposure:
         times = [self.inner[name][0] for name in _needs(known) & self.inner.keys()]
         return np.unique(np.concatenate(times)) if times else _ENDS
 
+    def _between_jumps(self, known: Known | tuple[Awaited]) -> Iterator[tuple[Any, Any]]:
+        """Yield begin and end, in parts of the step, of pieces in which all signals are linear."""
+        jumps = None if self.jumps is None else self.jumps.of_signals(_needs(known))
+        for low, high in pairwise(self._knots(known).tolist()):
+            inside = () if jumps is None else np.clip(jumps, low, high)
+            yield from pairwise((low, *inside, high))
+
     def _parts(self, known: Known) -> Iterator[tuple[Any, Any]]:
         """Yield begin and end, in parts of the step, of what no kink of a law lies within."""
-        for low, high in pairwise(self._knots(known).tolist()):
+        for low, high in self._between_jumps(known):
             cuts = list(self._cuts(known, low, high))
             inside = np.sort(np.stack(cuts), axis=0) if cuts else ()
             for begin, end in pairwise((low, *inside, high)):
                 yield np.minimum(begin, self.until), np.minimum(end, self.until)
 
-    def _cuts(self, known: Known, low: float, high: float) -> Iterator[FloatArray]:
+    def _cuts(self, known: Known, low: Any, high: Any) -> Iterator[FloatArray]:
         """Yield where between two parts of the step signals pass kinks, (n,); else at ``high``."""
         for part in known:
             kinks = part.effect.law.kinks
             if not kinks:
                 continue
-            first, last = (part.level(*self._at(s, known), None) for s in (low, high))
+            middle = 0.5 * (low + high)
+            first, last = (part.level(*self._at(s, known, middle), None) for s in (low, high))
             for kink in kinks:
                 passes = (first < kink) != (last < kink)
                 if passes.any():
                     change = np.where(passes, last - first, 1.0)
                     yield np.where(passes, low + (high - low) * ((kink - first) / change), high)
 
-    def _at(self, part: Any, known: Known | tuple[Awaited]) -> tuple[Signals, Cells]:
-        """Return signals and cells at a part of the step: one for all, or that of each, (n,)."""
+    def _at(
+        self, part: Any, known: Known | tuple[Awaited], jumped: Any = None
+    ) -> tuple[Signals, Cells]:
+        """Return signals and cells at a part of the step: one for all, or that of each, (n,).
+
+        - ``jumped``: the part of it until which jumps count; absent: until then
+        """
         names = _needs(known)
         signals = {name: self._value(name, part) for name in names - _OF_CELLS}
+        if self.jumps is not None:
+            for name in names & self.jumps.first.keys():
+                signals[name] += self.jumps.sizes(name, part, part if jumped is None else jumped)
         cells = self.cells.shared()
         for name in _CARRIED:
             if name in names or (name == "radius" and "volume" in names):

@@ -127,7 +127,7 @@ def corrected_factor(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: fl
     if dt <= 0.0 or not np.count_nonzero(cells.lag):
         return factor
     most = np.abs(factor)
-    extra = np.clip(_SHARE / dt * cells.lag, -most, most)
+    extra = np.minimum(np.maximum(_SHARE / dt * cells.lag, -most), most)
     return np.where(growing(plan, cells), factor + extra, factor)
 
 

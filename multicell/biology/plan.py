@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from multicell.biology.responding import (
     acting,
     bind_responses,
+    counted,
     exposed,
     missing_signals,
     one_level,
@@ -65,6 +66,7 @@ class BiologyPlan:
       all
     - ``acting``: behaviours that are rates, which act by their integral over a step
     - ``exposed``: signals that these and what kills at once depend on
+    - ``counted``: numbers of neighbours that rates and chances at births depend on
     - ``growth_follows_state``: whether growth depends on more than fields and pressure at a cell of
       a type
     - ``elsewhere``: signals that neither fields nor cells carry: time, and numbers of neighbours
@@ -107,6 +109,7 @@ class BiologyPlan:
     base_rates: Mapping[str, float]
     acting: tuple[str, ...]
     exposed: frozenset[str]
+    counted: frozenset[str]
     growth_follows_state: bool
     elsewhere: frozenset[str]
     networks: Networks | None
@@ -199,6 +202,7 @@ def biology_plan(scene: Scene) -> BiologyPlan:
         base_rates={"apoptosis rate": rate} if rate or "apoptosis rate" in known else {},
         acting=acting(known),
         exposed=exposed(known),
+        counted=counted(known),
         growth_follows_state=not growth_signals <= {"pressure", *scene.nutrients},
         elsewhere=missing_signals(known, inputs.union(*(part.needs for part in awaited))),
         networks=networks,

@@ -318,6 +318,15 @@ def exposed(responses: Mapping[str, Known]) -> frozenset[str]:
     return frozenset(signal for name in names for part in responses[name] for signal in part.needs)
 
 
+def counted(responses: Mapping[str, Known]) -> frozenset[str]:
+    """Return the signals that count neighbours by state or type, and act by rates or at births."""
+    at_birth = ("mutation to ", "asymmetric division to ")
+    names = {*acting(responses), *(name for name in responses if name.startswith(at_birth))}
+    signals = {signal for name in names for part in responses[name] for signal in part.needs}
+    of_state = {"neighbours", "dead neighbours"}
+    return frozenset(x for x in signals if x in of_state or x.startswith(CONTACTS))
+
+
 def missing_signals(
     responses: Mapping[str, tuple[BoundResponse, ...]], inputs: frozenset[str] = frozenset()
 ) -> frozenset[str]:
@@ -339,8 +348,7 @@ def other_signals(
 ) -> dict[str, FloatArray]:
     """Return the signals besides fields that the responses of a plan need, name -> (n,).
 
-    - ``contacts``, (m, 2): identities of the cells that touched at the end of the last motion. Of
-      cells that were born since, those count that overlap.
+    - ``contacts``, (m, 2): identities of the cells that touch
     - ``time``: simulated time, s
     """
     out = {}
@@ -358,7 +366,7 @@ def other_signals(
         counted = frozenset(name for name in counted if "." not in name)
         if not counted:
             return out
-    pairs = _touching(cells, plan.period, contacts)
+    pairs = contact_rows(cells, contacts)
     first, second = np.concatenate([pairs, pairs[:, ::-1]]).T
     names = list(plan.types)
     for name in sorted(counted):
@@ -376,11 +384,6 @@ def other_signals(
     return out
 
 
-def _touching(cells: Cells, period: FloatArray | None, contacts: IntArray) -> IntArray:
-    """Return the rows of the cells that touch, (m, 2), those that were born since too."""
-    return np.concatenate([contact_rows(cells, contacts), _of_newborn(cells, period)])
-
-
 def _weighted(
     cells: Cells, period: FloatArray | None, contacts: IntArray, weighted: bool
 ) -> tuple[IntArray, FloatArray]:
@@ -389,7 +392,7 @@ def _weighted(
     The area is that of Hertz's contact, π r h with 1/r = 1/r_i + 1/r_j: zero where cells that
     stick are further apart than the sum of their radii.
     """
-    pairs = _touching(cells, period, contacts)
+    pairs = contact_rows(cells, contacts)
     if not weighted:
         return pairs, np.ones(len(pairs))
     first, second = pairs[:, 0], pairs[:, 1]
@@ -406,21 +409,25 @@ def _overlap(
     return np.asarray(np.maximum(1.0 - distance / reach, 0.0))
 
 
-def _of_newborn(cells: Cells, period: FloatArray | None) -> IntArray:
-    """Return the pairs that overlap of which one cell has just been born, (m, 2) rows."""
-    born = np.flatnonzero((cells.age == 0.0) & (cells.parent >= 0) & ~cells.dead)
-    if not born.size:
-        return np.empty((0, 2), dtype=np.int64)
+def with_newborn(plan: BiologyPlan, cells: Cells, contacts: IntArray, first: int) -> IntArray:
+    """Return contacts, (m, 2) identities, with those of cells born since, which are who overlap.
+
+    - ``first``: identity of the first of these
+    """
+    born = np.flatnonzero((cells.id >= first) & ~cells.dead)
+    if not born.size or not any(map(needs_contacts, plan.elsewhere)):
+        return contacts
     from scipy.spatial import cKDTree
 
+    period = plan.period
     reach = cells.radius[born] + float(cells.radius.max())
     place = cells.position if period is None else wrapped(cells.position, period)
     near = cKDTree(place, boxsize=period).query_ball_point(place[born], reach)
-    first = np.repeat(born, [len(rows) for rows in near])
-    second = np.concatenate([np.asarray(rows, dtype=np.int64) for rows in near])
-    distance = lengths(nearest_differences(cells.position[second], cells.position[first], period))
-    newborn = np.isin(second, born)
+    one = np.repeat(born, [len(rows) for rows in near])
+    other = np.concatenate([np.asarray(rows, dtype=np.int64) for rows in near])
+    distance = lengths(nearest_differences(cells.position[other], cells.position[one], period))
+    newborn = cells.id[other] >= first
     # a pair of two newborn cells is found from both sides
-    keep = (distance < cells.radius[first] + cells.radius[second]) & (first != second)
-    keep &= ~newborn | (first < second)
-    return np.stack([first[keep], second[keep]], axis=1)
+    keep = (distance < cells.radius[one] + cells.radius[other]) & (one != other)
+    keep &= ~newborn | (one < other)
+    return np.concatenate([contacts, cells.id[np.stack([one[keep], other[keep]], axis=1)]])

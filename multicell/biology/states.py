@@ -80,10 +80,9 @@ def update_states(
         wanted = np.where(wants_rest(plan, cells, signals), _RESTING, _GROWING)
         if np.count_nonzero(wanted != state):  # else it does not matter who is due
             due = deciding(cells, dt or plan.coupling_step, plan.cells.reaction_time, ahead)
-            state = np.where(due, wanted, state)
+            state = np.where(due & ~cells.dead, wanted, state)
     necrosis, apoptosis, _ = deaths(plan, cells, signals) if dying is None else dying
     for new, part in ((_NECROTIC, necrosis), (_APOPTOTIC, apoptosis)):
-        state[cells.state == new] = new
         if part is not None:
             state[np.isfinite(part) & ~cells.dead] = new
     return state
@@ -293,9 +292,8 @@ def necrotic(
     if any(math.isinf(response.effect.high) for response in known):
         hazard = rate_of_harm(plan, "necrosis rate", signals, cells)
         now = np.zeros(len(cells), dtype=np.bool_) if hazard is None else np.isinf(hazard)
-        rows = np.flatnonzero(
-            ~cells.dead & (now if exposure is None or not exposure.inner else True)
-        )
+        some = ~cells.dead if exposure is not None and exposure.inner else now & ~cells.dead
+        (rows,) = some.nonzero()
         if rows.size:
             first = np.full(len(rows), np.inf)
             if exposure is not None:

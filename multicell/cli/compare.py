@@ -79,6 +79,15 @@ _comparing = shared.grouped(
     default="cpu",
     help="Time that ranks the methods: CPU time or wall time.",
 )
+@click.option(
+    "--fields",
+    "field",
+    metavar="[NAME]",
+    is_flag=False,
+    flag_value="",
+    help="Take the solvers of a field, as nutrients.NAME.solver does, on the run's last coupling "
+    "step; its name may be left out: the first one.",
+)
 @click.option("--repeats", type=click.IntRange(min=1), default=3, help="Timed solves per point.")
 @click.option(
     "--budget", type=float, callback=_positive, help="Time for all methods together in s."
@@ -87,6 +96,7 @@ def compare_command(
     scene: Scene,
     stepwise: int | None,
     network: str | None,
+    field: str | None,
     quiet: bool,
     as_json: bool,
     **options: Any,
@@ -95,11 +105,18 @@ def compare_command(
 
     All methods replay the same events at the same times. The reference is computed twice, and
     its uncertainty is part of the chart. Trajectories of a growing or driven population diverge
-    with any method: compare those with --stepwise. Networks are always compared step by step.
+    with any method: compare those with --stepwise. Networks are always compared step by step, and
+    fields on the last coupling step.
     """
     options["progress"] = None if quiet else complain
+    if field is not None and (network is not None or stepwise is not None):
+        raise click.UsageError("--fields takes one coupling step: leave out --networks, --stepwise")
     result: Precision
-    if network is None:
+    if field is not None:
+        from multicell.comparison.field_precision import compare_fields
+
+        result = compare_fields(scene, field, **options)
+    elif network is None:
         from multicell.comparison.work_precision import compare as compared
 
         result = compared(scene, stepwise=stepwise or False, **options)

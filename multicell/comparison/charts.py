@@ -49,8 +49,8 @@ _WIDTH, _TALLEST, _DECADE = 10.0, 6.2, 1.7  # inches: figure, tallest panel, lon
 
 @styled
 def workprecision(result: SolveTable, norm: str) -> Figure:
-    """Draw error in one norm over time and over evaluations."""
-    costs = (result.clock, "cost")
+    """Draw error in one norm over time and over what the result counts."""
+    costs = (result.clock, *result.counts)
     errors = _log_range(point.error for point in points(result, norm, result.clock))
     least = _SLIMMEST * _decades(errors)
     spans = [_log_range(_costs(result, norm, cost), least) for cost in costs]

@@ -49,6 +49,7 @@ class SolveTable(Comparison):
     - ``clock``, "wall" or "cpu": the time that judges
     - ``conditioning``: of single coupling steps, where it is known
     - ``main``, ``last``: names of the norm of charts and verdicts, and of that of orders
+    - ``counts``: columns of work that charts draw errors over, besides time
     """
 
     scene: Scene
@@ -60,6 +61,7 @@ class SolveTable(Comparison):
 
     main: ClassVar[str]
     last: ClassVar[str]
+    counts: ClassVar[tuple[str, ...]] = ("cost",)
 
     @abstractmethod
     def measures(self) -> Mapping[str, Norm]:
@@ -269,9 +271,9 @@ class SolveTable(Comparison):
 
         Such errors are indistinguishable from noise. Without conditioning there are none.
         """
-        self.check_norm(norm)
         if self.conditioning is None:
             return []
+        self.check_norm(norm)
         floor = self.conditioning.floor[norm]
         return [r for r in self.table if r["status"] == SOLVED and r[f"error_{norm}"] <= floor]
 

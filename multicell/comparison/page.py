@@ -24,6 +24,7 @@ VERDICT_NORMS: Final = (
     "gyration",
     "state",
     "state_median",
+    "nodes",
 )
 """Norms in which the page gives the time to reach an error."""
 

@@ -26,11 +26,10 @@ def kind_of(value: Any) -> Any:
 
     Numba's own ``typeof`` takes a quarter of a millisecond for the tuples that loops are given.
     """
-    if isinstance(value, np.ndarray):
+    kind = type(value)
+    if kind is np.ndarray or isinstance(value, np.ndarray):
         return value.dtype.char, value.ndim, value.flags.num & ~_OWNED
-    if isinstance(value, tuple):
-        return type(value), *map(kind_of, value)
-    return type(value)
+    return (kind, *map(kind_of, value)) if isinstance(value, tuple) else kind
 
 
 _ADDRESSES: dict[Any, int] = {}

@@ -326,7 +326,7 @@ def _count(system: Mechanics, name: str, before: int) -> None:
 
 def _tolerance(system: Mechanics, rtol: float, atol: float) -> float:
     """Return the tolerance of a cell of mean radius, µm."""
-    return atol + rtol * float(system.motion.radius.mean() if len(system) else 1.0)
+    return atol + rtol * (system.motion.mean_radius if len(system) else 1.0)
 
 
 def _is_scaled(system: Mechanics) -> bool:

@@ -51,7 +51,7 @@ def stiffness_scale(system: Mechanics) -> float:
     if len(system) < 2 or system.stiffness_scale is not None:
         return system.stiffness_scale or 0.0
     motion = system.motion
-    radius, least = float(motion.radius.mean()), float(system.rows[:, COMPLIANCE].min())
+    radius, least = motion.mean_radius, float(system.rows[:, COMPLIANCE].min())
     modulus = 0.5 / least  # of two cells with the least compliance
     _, slope, _ = system.law.evaluate(0.25 * radius, modulus, 0.5 * radius, rest=2.0 * radius)
     system.stiffness_scale = PACKED_CONTACTS * abs(float(slope)) / (system.drag * radius)
@@ -81,7 +81,7 @@ def find_failure(system: Mechanics, position: FloatArray, atol: float = 0.0) -> 
             f"double precision follows up to {LARGEST_STIFFNESS:.2g}",
             "Raise drag.viscosity, soften the cells or shorten coupling_step",
         )
-    diameter = 2.0 * float(motion.radius.mean()) if len(system) else np.inf
+    diameter = 2.0 * motion.mean_radius if len(system) else np.inf
     if not atol <= diameter:
         return Outcome(
             motion.begin,

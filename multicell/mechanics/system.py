@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 
 _NOTHING = np.empty((0, 0))
+_NO_BLOCKS = np.empty((0, 6))
 _NO_PLACES = np.empty(0, dtype=np.int64)
 _HORIZON, _FAR = 8.0, 0.05
 """Gap up to which pairs are watched, over the way of two cells in a step, and at most, in the
@@ -176,9 +177,7 @@ class Mechanics:
         self._linear = None
         self._watched: tuple[PairList | None, float, NDArray[np.int64]]
         self._watched = None, 0.0, _NO_PLACES
-        self._largest = float(largest.max(initial=0.0))
-        self._fastest_growth = float(np.abs(motion.radius_rate).max(initial=0.0))
-        self._blocks = self._inverse = np.empty((0, 6))  # few methods use them
+        self._blocks = self._inverse = _NO_BLOCKS  # few methods use them
         if max(self.friction) > 0.0:
             from multicell.mechanics.friction import PairFriction
 
@@ -349,13 +348,13 @@ class Mechanics:
         """
         if self.neighbours.pairs is None or not (self.law.snaps or self.motion.bonds is not None):
             return 1.0
-        elapsed, way = begin - self.motion.begin, 2.0 * moved * self._largest
-        way += 2.0 * self._fastest_growth * (end - begin)
+        elapsed, way = begin - self.motion.begin, 2.0 * moved * self.motion.largest_radius
+        way += 2.0 * self.motion.fastest_growth * (end - begin)
         pairs, left, places = self._watched
         left -= way
         if pairs is not self.neighbours.pairs or left < way:
             places = np.empty(len(self._pair_data.first), dtype=np.int64)
-            left = max(way, min(_HORIZON * way, _FAR * self._largest))
+            left = max(way, min(_HORIZON * way, _FAR * self.motion.largest_radius))
             count = forces.pairs_about_to_touch(self._pair_data, self._rows, elapsed, left, places)
             places, left = places[:count].copy(), left - way
         self._watched = self.neighbours.pairs, left, places
@@ -446,7 +445,8 @@ class Mechanics:
         pressed = self._settle_pressures(pairs)
         if self.walls is not None:
             self.walls.add_virials(self._rows, virials)
-        self._resist(pairs, pressed, 0.0, np.zeros((len(self), 3)), virials)
+        if pressed is not None:
+            self._resist(pairs, pressed, 0.0, np.zeros((len(self), 3)), virials)
         return np.asarray(virials / (3.0 * SPHERE * cubes(self._rows[:, RADIUS])))
 
     def stiffness_bound(self, time: float, position: FloatArray) -> float:

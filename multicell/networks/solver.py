@@ -123,9 +123,8 @@ class NetworkSolver:
             start = np.abs(np.array(network.start))
             least = _SMALLEST * (start.max(initial=0.0) or 1.0)
             absolute = relative * np.maximum(_FLOOR * start, least)
-        self.absolute = np.ascontiguousarray(
-            np.broadcast_to(absolute, len(network.states)), dtype=float
-        )
+        # writable, whatever is given: for arrays that are not, numba would compile it all once more
+        self.absolute = np.full(len(network.states), absolute, dtype=float)
         self.work = np.zeros(WORK, dtype=np.int64)
 
     def begin(

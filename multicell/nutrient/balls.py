@@ -96,11 +96,12 @@ def _balls(radius: FloatArray, spacing: float, flat: bool) -> tuple[Any, ...]:
     """Return of each cell how many boxes it is made of along an axis, and their size in spacings.
 
     Besides densities of boxes, where those of each number begin, and the most nodes along an axis,
-    of all cells and of those that are one box.
+    of all cells and of those that are one box. Raises ValueError for radii that are none.
     """
+    least, most = _least_and_most(radius)
     size = radius / spacing
     counts = np.ones(len(size), dtype=np.int64)
-    largest = size.max(initial=0.0)
+    largest = most / spacing
     if largest > _ONE:
         large = size > _ONE
         counts[large] = np.minimum(np.ceil(_PER_RADIUS * size[large]), _MOST)
@@ -113,7 +114,7 @@ def _balls(radius: FloatArray, spacing: float, flat: bool) -> tuple[Any, ...]:
         widths = sizes[1] * size
         single = sizes[1] * largest
         nodes = int(single) + 4
-    if size.min(initial=1.0) <= _POINT:
+    if least / spacing <= _POINT:
         widths[size <= _POINT] = 0.0
     number = max(int(single) + 3, 4) if single > _POINT else 2
     return counts, widths, filled, first, nodes, number
@@ -448,10 +449,15 @@ def _numbers(values: FloatArray, count: int, what: str) -> FloatArray:
 def _radii(radius: FloatArray | None, count: int) -> FloatArray:
     if radius is None:
         return np.zeros(count)
-    found = _numbers(radius, count, "radius")
-    if not (found.min(initial=0.0) >= 0.0 and found.max(initial=0.0) < np.inf):
+    return _numbers(radius, count, "radius")
+
+
+def _least_and_most(radius: FloatArray) -> tuple[float, float]:
+    """Return the ends of radii, where there are any; raise ValueError for one that is none."""
+    least, most = radius.min(initial=np.inf), radius.max(initial=0.0)
+    if not (least >= 0.0 and most < np.inf):
         raise ValueError("a radius is negative or not finite")
-    return found
+    return float(least), float(most)
 
 
 @njit(**INNER)
@@ -518,6 +524,7 @@ def scatter_shells(
     """
     total, away = np.zeros(shells + 1), np.ascontiguousarray(distance)
     amounts, radii = _numbers(amount, len(away), "amount"), _radii(radius, len(away))
+    _least_and_most(radii)
     if _transfer_shells(away, radii, amounts, _NOTHING, total, total, spacing) >= 0:
         raise ValueError("a position lies outside the nutrient grid")
     total[-2] += total[-1]
@@ -539,6 +546,7 @@ def gather_shells(
     known, away = np.append(values, beyond), np.ascontiguousarray(distance)
     known.flags.writeable = False
     out, radii = np.empty(len(away)), _radii(radius, len(away))
+    _least_and_most(radii)
     if _transfer_shells(away, radii, out, known, np.empty(0), out, spacing) >= 0:
         raise ValueError("a position lies outside the nutrient grid")
     return out

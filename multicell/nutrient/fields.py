@@ -146,6 +146,11 @@ class FieldSystem:
         self.steady = [n for n, x in self.fields.items() if x.parameters.regime == "steady"]
         around = circles(scene.nutrients, known, scene.responses)
         self._circles = {x[-1]: x for x in map(tuple, around.values()) if len(x) > 1}
+        for group in self.groups:
+            # what is solved for again and again within a solve of others is as exact as can be
+            alone = len(around[group.names[0]]) == 1
+            if alone and all(scene.nutrients[x].finite_medium is None for x in group.names):
+                group.settle_for_enough()
         self._changes: dict[str, Mapping[str, float]] = {}  # of geometry, as frames store them
         self.ledger = {name: Ledger() for name in scene.nutrients}
         self.concentrations: dict[str, FloatArray] = {}
@@ -306,8 +311,9 @@ class FieldSystem:
             self.concentrations = {**self.concentrations, **found}
         # asked for only where networks exchange with fields
         whole = None if self._fluxes is None else np.broadcast_to(until, len(cells)) == 1.0
-        rows = np.flatnonzero(np.broadcast_to(until, len(cells)) < 1.0)
-        leaving = (rows, begin + until[rows] * (end - begin)) if rows.size else None
+        leaving = None
+        if np.ndim(until) and (rows := np.flatnonzero(until < 1.0)).size:
+            leaving = rows, begin + until[rows] * (end - begin)
         for group in self.groups:
             followed = [name for name in group.names if name in follow and name in self._marched]
             seen: list[tuple[float, list[FloatArray]]] = []

@@ -21,10 +21,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
+from pde.fields.scalar import ScalarField
+from pde.grids.cartesian import UnitGrid
 from pde.solvers.base import SolverBase
 
 from multicell.cells import FloatArray
@@ -36,6 +37,7 @@ from multicell.nutrient.balance import (
     WellMixed,
     volume_beyond_grid,
 )
+from multicell.results.pde_fields import FieldsView
 
 if TYPE_CHECKING:
     from multicell.nutrient.group import Demand, FieldGroup, Leaving
@@ -136,7 +138,7 @@ class _Exchange:
         if end > self.now:
             kind = AtRestWithMedium if self.steady else WithMedium
             equation = kind(self.group, self.row, self.medium, self.guess)
-            state: Any = SimpleNamespace(data=equation.data(self.total))
+            state: Any = equation.state(self.total)
             nutrients = [field.parameters.nutrient for field in self.group.fields.values()]
             solver: Any = SolverBase.from_name(
                 "multicell-march",
@@ -156,7 +158,7 @@ class _Exchange:
     def _watch(self, time: float, data: FloatArray) -> None:
         """Hand on the values of the nodes on the way, of steady fields those of the last solve."""
         assert self.group.watch is not None
-        nodes = self.group.state.data
+        nodes = self.group.nodes
         self.group.watch(time, nodes if self.steady else data[:-1].reshape(nodes.shape))
 
     def _enter(self, info: dict[str, Any]) -> None:
@@ -171,9 +173,9 @@ class _Exchange:
         if isinstance(equation, AtRestWithMedium):
             self.total, self.guess = float(data[0]), equation.level
             return
-        nodes = self.group.state.data
+        nodes = self.group.nodes
         nodes[...] = data[:-1].reshape(nodes.shape)
-        self.medium = replace(self.medium, amount=self.medium.volume * float(data[-1, 0]))
+        self.medium = replace(self.medium, amount=self.medium.volume * float(data[-1].flat[0]))
         self.guess = self.medium.concentration
 
     def _settle(self) -> None:
@@ -192,6 +194,9 @@ class _Exchange:
         return self.group.exchanges(self.amounts, gained)
 
 
+_ONE: Final = UnitGrid([1])
+"""A grid for a number."""
+
 Excess = Callable[[float], tuple[float, float]]
 """Concentration of the medium, mM -> excess, and content of the field, amol."""
 
@@ -199,13 +204,13 @@ Excess = Callable[[float], tuple[float, float]]
 class _Medium:
     """Fields and the finite medium round one of them, for steps of backward Euler.
 
-    - ``group``: the fields' equation and state
+    - ``group``: the fields' equation and nodes
     - ``row``: of the field with the medium
     - ``level``: first guess of the concentration, mM
     """
 
     def __init__(self, group: FieldGroup, row: int, medium: WellMixed, level: float) -> None:
-        self.equation, self.state = group.equation, group.state
+        self.equation, self.nodes = group.equation, group.nodes
         self.names, self.switches = self.equation.names, self.equation.switches
         self.row, self.level, self._volume = row, level, medium.volume
         self._placed = self.equation.substances[self.names[row]]
@@ -261,14 +266,15 @@ class WithMedium(_Medium):
     The state is that of the fields with one more for the medium, which is uniform.
     """
 
-    def data(self, _: float) -> FloatArray:
+    def state(self, _: float) -> FieldsView:
         """Return the state at the beginning, mM."""
-        fields = np.reshape(self.state.data, (len(self.names), -1))
-        return np.concatenate([fields, np.full((1, fields.shape[1]), self.level)])
+        nodes = self.equation.view(self.nodes).data
+        data = np.concatenate([nodes, np.full_like(nodes[:1], self.level)])
+        return FieldsView(self.equation, data, [*self.names, "medium"])
 
     def implicit_step(self, data: FloatArray, dt: float, t: float) -> tuple[FloatArray, FloatArray]:
         """Take a step of backward Euler of ``dt`` s that ends at ``t``."""
-        eq, volume, before, level = self.equation, self._volume, data[:-1], float(data[-1, 0])
+        eq, volume, before, level = self.equation, self._volume, data[:-1], float(data[-1].flat[0])
         share = 1.0 + self._decay * dt
         found, taken, rows = before, 0.0, np.empty(0)
 
@@ -283,12 +289,12 @@ class WithMedium(_Medium):
         new = self._root(excess, level, volume * share, dt)
         after = (volume * level - taken) / (volume * share)
         # the balance's own value, unless rounding puts it below zero
-        uniform = np.full((1, data.shape[1]), after if after >= 0.0 else new)
+        uniform = np.full_like(data[-1:], after if after >= 0.0 else new)
         return np.concatenate([found.reshape(before.shape), uniform]), rows
 
     def scales(self, data: FloatArray, begin: float, end: float) -> FloatArray:
         """Return the concentration of fields and medium that errors are small beside, mM."""
-        self._placed.follow(float(data[-1, 0]))
+        self._placed.follow(float(data[-1].flat[0]))
         found = np.maximum(self.equation.scales(data[:-1], begin, end), self._faded)
         return np.append(found, found[self.row])
 
@@ -307,15 +313,15 @@ class AtRestWithMedium(_Medium):
     rest along with the medium.
     """
 
-    def data(self, total: float) -> FloatArray:
-        """Return the state at the beginning, amol."""
-        return np.array([total])
+    def state(self, total: float) -> ScalarField:
+        """Return the state at the beginning, amol: one number."""
+        return ScalarField(_ONE, [total])
 
     def _solve(self, level: float, t: float) -> tuple[dict[str, SolveReport], float]:
         """Bring the fields to rest with a medium of a concentration; return what is held."""
         self._placed.follow(level)
-        found, reports = self.equation.steady_state(np.array(self.state.data), t)
-        self.state.data[...] = found
+        found, reports = self.equation.steady_state(np.array(self.nodes), t)
+        self.nodes[...] = found
         return reports, self._content(found)
 
     def implicit_step(self, data: FloatArray, dt: float, t: float) -> tuple[FloatArray, FloatArray]:
@@ -326,13 +332,13 @@ class AtRestWithMedium(_Medium):
             nonlocal after, rows
             reports, content = self._solve(trial, t)
             there = content + volume * trial
-            rows = self.equation.exchanges(np.array(self.state.data), t, reports)
+            rows = self.equation.exchanges(np.array(self.nodes), t, reports)
             after = data + dt * (rows[[self.row]] @ _OTHERS - decay * there)
             return there - float(after[0]), content
 
         fixed = (volume + self.equation.layout.whole) * (1.0 + decay * dt)
         self.level = self._root(excess, self.level, fixed, dt)
-        there = self._content(np.array(self.state.data)) + volume * self.level
+        there = self._content(np.array(self.nodes)) + volume * self.level
         return np.where(after >= 0.0, after, there), dt * rows
 
     def settle(self, total: float, t: float) -> None:

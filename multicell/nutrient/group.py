@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -22,6 +21,7 @@ from multicell.nutrient.balance import BALANCE_COLUMNS, FADED, FieldExchange
 from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.equations.substance import Substance
 from multicell.nutrient.grid import Layout, relative_diffusion, tissue_share
+from multicell.nutrient.steady import BALANCE_TOLERANCE, ENOUGH
 from multicell.nutrient.tissue import reaching
 from multicell.scene.nutrient import OWN_SOLVERS
 from multicell.scene.reactions import groups
@@ -52,15 +52,19 @@ class FieldGroup:
     - ``layout``, ``equation``: of the last solve
     - ``position``, (n, 3) µm, ``radius``, (n,) µm: where and as what balls the cells reached the
       grid in it
-    - ``state``: its values for py-pde's solvers, which ask for no more than ``data``, (m, ...) mM
+    - ``nodes``, (m, ...) mM: its values at the nodes of the layout
+    - ``state``: the same array as py-pde's ``FieldCollection``, for solvers
     - ``info``: what py-pde's solver said of it; see ``pde.SolverBase``
     - ``watch``: called with time and values on the way of an :meth:`advance`; None: nobody looks
+    - ``tolerance``: of what :meth:`solve` brings to rest, see :func:`.steady.solve_steady`
     """
 
     layout: Layout
     position: FloatArray
     radius: FloatArray
     equation: FieldEquation
+    nodes: FloatArray
+    tolerance = BALANCE_TOLERANCE
 
     def __init__(
         self, fields: Mapping[str, NutrientField], kinetics: Kinetics | None = None
@@ -71,13 +75,18 @@ class FieldGroup:
         self._made_for: tuple[FieldParameters, ...] = ()
         self._may_stay = self._kept = False
         self._solver: Any = None  # of the last solve
-        self.state: Any = None
         self.info: dict[str, Any] = {}
         self.watch: Callable[[float, FloatArray], None] | None = None
+
+    def settle_for_enough(self) -> None:
+        """Be no more exact at rest than the grid allows."""
+        self.tolerance = ENOUGH
 
     def solve(self, tissue: Tissue, demand: Demand, *, time: float) -> dict[str, FieldExchange]:
         """Bring the fields to rest with the cells' uptake and secretion."""
         self.begin(tissue, demand, time, carry=False)
+        for placed in self.equation.substances.values():
+            placed.tolerance = self.tolerance
         if self._outside is None:
             self._run("multicell-steady", time, time)
         else:
@@ -130,7 +139,7 @@ class FieldGroup:
         """Begin with the media's concentrations everywhere."""
         nothing = np.zeros(len(tissue.position)), None
         self.begin(tissue, dict.fromkeys(self.names, nothing), time, carry=False)
-        for nodes, field in zip(self.state.data, self.fields.values(), strict=True):
+        for nodes, field in zip(self.nodes, self.fields.values(), strict=True):
             nodes[...] = field.first_values(self.layout, time)
         self.finish(time)
 
@@ -142,8 +151,8 @@ class FieldGroup:
         self.layout, self._kept, self.position = self.first.lay(tissue, strays=strays)
         self.radius = reaching(tissue.position, self.position, tissue.extent)
         self._set_equation(tissue.radius, demand)
-        first = np.array([self._first(f, time, carry) for f in fields])
-        self.state = SimpleNamespace(data=first, equation=self.equation)
+        self.nodes = np.array([self._first(f, time, carry) for f in fields])
+        self.state = self.equation.view(self.nodes)
 
     def change_demand(
         self, first: Demand | None, begin: float, end: float, leaving: Leaving | None
@@ -173,7 +182,7 @@ class FieldGroup:
 
     def masses(self) -> FloatArray:
         """Return the content of each field, (m,) amol."""
-        return np.array([float(np.sum(self.layout.volumes * c)) for c in self.state.data])
+        return np.array([float(np.sum(self.layout.volumes * c)) for c in self.nodes])
 
     def _run(self, name: str, begin: float, end: float, **options: Any) -> None:
         """Bring the state to ``end`` (s) by a solver of py-pde's registry."""
@@ -181,9 +190,14 @@ class FieldGroup:
         if solver is None or solver.pde is not self.equation or solver.name != name:
             # options are those of the parameters that the equation was made for
             solver = self._solver = SolverBase.from_name(name, self.equation, **options)
-        solver.watch = self.watch
+        solver.watch = None if self.watch is None else self._watch
         solver.make_stepper(self.state)(self.state, begin, end)
         self.info = solver.info
+
+    def _watch(self, time: float, data: FloatArray) -> None:
+        """Hand on values on the way as they lie on the layout."""
+        assert self.watch is not None
+        self.watch(time, data.reshape(self.nodes.shape))
 
     @property
     def _outside(self) -> str | None:
@@ -191,10 +205,10 @@ class FieldGroup:
         name = self.first.parameters.nutrient.solver
         return None if name in OWN_SOLVERS else name
 
-    def _scales(self) -> FloatArray:
+    def scales(self) -> FloatArray:
         """Return the highest concentration of each field, also within it, (m,) mM."""
         levels = [field.parameters.nutrient.highest for field in self.fields.values()]
-        there = self.state.data.reshape(len(levels), -1).max(axis=1)
+        there = self.nodes.reshape(len(levels), -1).max(axis=1)
         found = np.maximum(levels, there)
         return np.where(found > 0.0, found, 1.0)
 
@@ -204,9 +218,9 @@ class FieldGroup:
 
         assert self._outside is not None
         found, reports = outside.settle(
-            self.equation, self._outside, self.state.data, time, self._scales()
+            self.equation, self._outside, self.nodes, time, self.scales()
         )
-        self.state.data[...] = found
+        self.nodes[...] = found
         self.info = {"reports": reports, "rates": self.equation.exchanges(found, time)}
 
     def _bring(self, begin: float, end: float, tolerance: float) -> FloatArray:
@@ -217,20 +231,20 @@ class FieldGroup:
         found = outside.bring(
             self.equation,
             self._outside,
-            self.state.data,
+            self.nodes,
             begin,
             end,
             tolerance=tolerance,
-            scales=self._scales(),
+            scales=self.scales(),
             watch=self.watch,
         )
-        self.state.data[...] = found.data
+        self.nodes[...] = found.data
         self.info = {"steps": found.steps, "amounts": found.amounts}
         return found.lifted
 
     def finish(self, time: float) -> None:
         """Give the fields what has been found."""
-        for field, values in zip(self.fields.values(), self.state.data, strict=True):
+        for field, values in zip(self.fields.values(), self.nodes, strict=True):
             conditions = field.parameters.conditions(self.layout, field.level(time))
             field.take(self.layout, values.copy(), conditions)
 

@@ -67,6 +67,7 @@ class _Level:
 
     - ``axes``, three of _Axis
     - ``team``: threads that share the loops, as many as there is work for (:data:`.stencil.PART`)
+    - ``light``: those that share loops in which nodes do not see each other
     """
 
     def __init__(self, axes: list[_Axis], team: Team) -> None:
@@ -74,13 +75,26 @@ class _Level:
         nx, ny, nz = map(len, self.shares)
         self.shape = (nx, ny, nz)
         self.weights: Triple | None = None
-        self.team = team.at_most(nx * ny * nz // stencil.PART)
+        self.join(team)
         # one block: of many arrays malloc returns more to the system, which has to clear it again
-        self.rate, self.b, self.x, self.spare, *self.work = np.empty((7, *self.shape), np.float32)
+        arrays = np.empty((8, *self.shape), np.float32)
+        self.rate, self.inverse, self.b, self.x, self.spare, *self.work = arrays
+
+    def join(self, team: Team) -> None:
+        """Take other threads."""
+        self.team, self.light = stencil.teams(team, math.prod(self.shape))
 
     def share(self, kernel: Callable[..., Any], *arguments: Any) -> None:
         """Run a kernel over the planes of this level."""
         self.team.share(kernel, self.shape[0], *arguments)
+
+    def share_light(self, kernel: Callable[..., Any], *arguments: Any) -> None:
+        """Run a kernel over the planes of this level in which nodes do not see each other."""
+        self.light.share(kernel, self.shape[0], *arguments)
+
+    def invert_diagonal(self) -> None:
+        """Bring ``inverse`` up to date with the rates."""
+        self.share_light(kernels.invert_diagonal, self.rate, self.along, self.weights, self.inverse)
 
     def restrict(self, coarse: _Level) -> None:
         """Take two damped Jacobi steps from zero, and give what they leave to the next level."""
@@ -89,6 +103,7 @@ class _Level:
             coarse.shape[0],
             self.b,
             self.rate,
+            self.inverse,
             self.along,
             self.weights,
             _SMOOTHER,
@@ -99,7 +114,7 @@ class _Level:
 
     def average(self, values: Float32Array, out: Float32Array) -> None:
         """Write means over the nodes in each node of the next level."""
-        self.team.share(kernels.average, len(out), values, self.shares, out)
+        self.light.share(kernels.average, len(out), values, self.shares, out)
 
     def correct(self, coarse: _Level) -> None:
         """Add the solution of the next level, and take two damped Jacobi steps."""
@@ -110,7 +125,7 @@ class _Level:
             self.nearness,
             self.x,
             self.b,
-            self.rate,
+            self.inverse,
             self.along,
             self.weights,
             _SMOOTHER,
@@ -164,6 +179,7 @@ class Hierarchy:
     def set_rate(self) -> None:
         """Bring the rates of all levels up to date with those of the finest, ``rate``."""
         for fine, coarse in self._pairs:
+            fine.invert_diagonal()
             fine.average(fine.rate, coarse.rate)
 
     def cycle(self) -> Float32Array:
@@ -202,6 +218,12 @@ class MultigridSolver:
         self._r = self._finest.b
         self._parts = np.empty((2, shape[0]))
 
+    def begin(self, operator: Diffusion, team: Team) -> None:
+        """Count anew, with other threads and perhaps another distance of nodes."""
+        self.operator, self.newton, self.cg = operator, 0, 0
+        for level in self._hierarchy.levels:
+            level.join(team)
+
     def solve(self, rate: Floats, residual: Floats, size: float, goal: float) -> Float32Array:
         """Solve (-D L0 + rate) x = residual to ``goal``, a share of ``size``, the residual's norm.
 
@@ -214,10 +236,10 @@ class MultigridSolver:
         rho, _ = self._products(z)
         beta = 0.0
         for _ in range(MAX_CG):
-            level.share(kernels.direct, p, z, np.float32(beta))
+            level.share_light(kernels.direct, p, z, np.float32(beta))
             level.share(kernels.apply_planes, p, level.rate, level.along, level.weights, q, parts)
             alpha = rho / float(parts.sum())
-            level.share(kernels.update_residual_planes, np.float32(alpha), x, p, r, q, parts)
+            level.share_light(kernels.update_residual_planes, np.float32(alpha), x, p, r, q, parts)
             self.cg += 1
             if not float(parts.sum()) > max(goal, FINEST) ** 2:
                 break
@@ -230,7 +252,7 @@ class MultigridSolver:
 
     def _begin(self, rate: Floats, residual: Floats, size: float) -> None:
         """Take a system, divided by D/h² and by the size of its right-hand side."""
-        self._finest.share(
+        self._finest.share_light(
             kernels.load,
             self._turned(rate),
             self.operator.stiffness,
@@ -245,7 +267,7 @@ class MultigridSolver:
 
     def _products(self, z: Float32Array) -> tuple[float, float]:
         """Return the products of ``z`` with the residual and with its last change."""
-        self._finest.share(kernels.products, z, self._r, self._q, self._parts)
+        self._finest.share_light(kernels.products, z, self._r, self._q, self._parts)
         first, second = self._parts.sum(axis=1)
         return float(first), float(second)
 

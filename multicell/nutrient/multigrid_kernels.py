@@ -109,7 +109,7 @@ def _relax(
     i: int,
     x: Any,
     b: Any,
-    rate: Any,
+    inverse: Any,
     along: Any,
     weights: Any,
     damping: Any,
@@ -124,10 +124,10 @@ def _relax(
     nx, ny, nz = b.shape
     at = _ring(i, nx)
     for j in range(ny):
-        base = _neighbours(x, at, along, weights, i, j, row, diagonal)
-        e, right, r, o = x[at[1], j], b[i, j], rate[i, j], out[j]
+        _neighbours(x, at, along, weights, i, j, row, diagonal)
+        e, right, v, o = x[at[1], j], b[i, j], inverse[i, j], out[j]
         for k in range(nz):
-            o[k] = e[k] + damping * ((right[k] + row[k]) / (base + diagonal[k] + r[k]) - e[k])
+            o[k] = e[k] + damping * ((right[k] + row[k]) * v[k] - e[k])
 
 
 @_inline
@@ -141,11 +141,30 @@ def _pair(total: Any, share: Any, out: Any) -> None:
 
 
 @_jit
+def invert_diagonal(
+    begin: int, end: int, rate: Any, along: Any, weights: Any, inverse: Any
+) -> None:
+    """Write one over the coefficients of the nodes themselves."""
+    nx, ny, nz = rate.shape
+    row, diagonal = _rows(along)
+    for i in range(begin, end):
+        for j in range(ny):
+            if weights is None:
+                base = _across(along, i, j)
+            else:
+                base = _neighbours(rate, _beside(i, nx), along, weights, i, j, row, diagonal)
+            r, o = rate[i, j], inverse[i, j]
+            for k in range(nz):
+                o[k] = _ONE / (base + diagonal[k] + r[k])
+
+
+@_jit
 def down(
     begin: int,
     end: int,
     b: Any,
     rate: Any,
+    inverse: Any,
     along: Any,
     weights: Any,
     damping: Any,
@@ -169,18 +188,13 @@ def down(
     for front in range(max(start - 2, 0), stop + 2):
         if front < nx:
             for j in range(ny):
-                if weights is None:
-                    base = _across(along, front, j)
-                else:
-                    at = _beside(front, nx)
-                    base = _neighbours(b, at, along, weights, front, j, row, diagonal)
-                right, r, o = b[front, j], rate[front, j], once[front % 3, j]
+                right, v, o = b[front, j], inverse[front, j], once[front % 3, j]
                 for k in range(nz):
-                    o[k] = damping[0] * right[k] / (base + diagonal[k] + r[k])
+                    o[k] = damping[0] * right[k] * v[k]
         i = front - 1
         if max(start - 1, 0) <= i < nx:
             made = twice[i % 3]
-            _relax(i, once, b, rate, along, weights, damping[1], row, diagonal, made)
+            _relax(i, once, b, inverse, along, weights, damping[1], row, diagonal, made)
             if start <= i < stop:
                 for j in range(ny):
                     o, e = x[i, j], made[j]
@@ -261,7 +275,7 @@ def up(
     nearness: Any,
     x: Any,
     b: Any,
-    rate: Any,
+    inverse: Any,
     along: Any,
     weights: Any,
     damping: Any,
@@ -282,7 +296,7 @@ def up(
             i, beside = front - 1 - sweep, 1 - sweep
             if max(begin - beside, 0) <= i < min(end + beside, nx):
                 given, made = (added, once[i % 3]) if sweep == 0 else (once, out[i])
-                _relax(i, given, b, rate, along, weights, damping[sweep], row, diagonal, made)
+                _relax(i, given, b, inverse, along, weights, damping[sweep], row, diagonal, made)
 
 
 @_jit

@@ -53,6 +53,14 @@ if TYPE_CHECKING:
 BALANCE_TOLERANCE = 1e-9
 """Bound on the sum of all nodes' imbalances, relative to the total uptake."""
 
+ENOUGH = 1e-5
+"""The same bound on many nodes for a field of a run, which is not to be more exact than its grid.
+
+A field solved to it was off by 1e-7 of the medium's value, a ten-thousandth of what the spacing
+made. What the balance still lacks is taken out by a factor on all concentrations
+(:meth:`_State.close`).
+"""
+
 ROUGH = 1e-3
 """The same bound for intermediate solutions with a larger half saturation."""
 
@@ -70,6 +78,12 @@ MAX_SWEEPS = 1000  # over the nodes below zero; one to three are usual
 
 MULTIGRID_NODES = 50_000
 """Nodes from which on multigrid takes the place of transforms; see :mod:`.multigrid`."""
+
+KEPT_NODES = 1_000_000
+"""Nodes from which on the arrays of multigrid are kept for the next solve.
+
+The C library returns blocks above 32 MB to the system when they are free; what is smaller it keeps.
+"""
 
 UPTAKE_SHIFT = 1.0
 """The preconditioner's uniform uptake, relative to the mean of the linearised uptake."""
@@ -110,6 +124,7 @@ def solve_steady(
     *,
     linear: float = 0.0,
     supply: FloatArray | None = None,
+    tolerance: float = BALANCE_TOLERANCE,
 ) -> tuple[FloatArray, SolveReport]:
     """Solve for the steady concentration.
 
@@ -117,6 +132,7 @@ def solve_steady(
     - ``start``, (nx, ny, nz), mM: first guess; any finite values do
     - ``linear``, float, 1/s: rate m of all that goes in proportion to c, not negative
     - ``supply``, (nx, ny, nz), mM/s, optional: what the nodes gain besides diffusion, not negative
+    - ``tolerance``: on :data:`MULTIGRID_NODES` and more, see :data:`BALANCE_TOLERANCE`
     """
     nodes = math.prod(operator.shape)
     # the levels of multigrid have ends: where space repeats transforms serve at any size
@@ -126,8 +142,13 @@ def solve_steady(
     from multicell.nutrient.multigrid import MultigridSolver
 
     with Team(max(1, min(operator.threads, nodes // stencil.PART))) as team:
-        problem = _Problem(operator, sink, half_saturation, linear, supply, team)
-        return _solve(problem, start, MultigridSolver(operator, team))
+        problem = _Problem(operator, sink, half_saturation, linear, supply, team, tolerance)
+        solver = operator.multigrid
+        if solver is None:
+            solver = MultigridSolver(operator, team)
+        operator.multigrid = solver if nodes >= KEPT_NODES else None
+        solver.begin(operator, team)
+        return _solve(problem, start, solver)
 
 
 def _solve(
@@ -138,7 +159,7 @@ def _solve(
         # nothing comes in: what iterations from elsewhere would leave is rounding, of either sign
         start = np.zeros_like(start, dtype=np.float64)
     state, done = _newton(
-        _State(problem, np.array(start, dtype=np.float64)), BALANCE_TOLERANCE, solver
+        _State(problem, np.array(start, dtype=np.float64)), problem.tolerance, solver
     )
     if not done and np.isfinite(state.size):
         state, done = _descend(problem, start, solver)
@@ -151,9 +172,11 @@ def _solve(
         raise NutrientFailed(
             f"the steady nutrient field did not converge: after {solver.newton} Newton steps the "
             f"imbalance is {state.size:.3g} mM/s, "
-            f"wanted {state.target(BALANCE_TOLERANCE):.3g} mM/s",
+            f"wanted {state.target(problem.tolerance):.3g} mM/s",
             "Check uptake, diffusion and half_saturation of the nutrient for sensible values",
         )
+    if problem.tolerance > BALANCE_TOLERANCE:
+        state.close()
     return state.c, state.report(solver)
 
 
@@ -190,7 +213,7 @@ def _descend(
     while half > 2.0 * problem.half:
         state, _ = _newton(_State(replace(problem, half=half), c), ROUGH, linear)
         c, half = state.c, half / 4.0
-    return _newton(_State(problem, c), BALANCE_TOLERANCE, linear)
+    return _newton(_State(problem, c), problem.tolerance, linear)
 
 
 @final
@@ -204,6 +227,7 @@ class _Problem:
     linear: float
     supply: FloatArray | None
     team: Team | None  # that shares the loops over MANY nodes; sums are then those of planes
+    tolerance: float = BALANCE_TOLERANCE
 
     def __post_init__(self) -> None:
         faces = self.operator.brought()
@@ -225,7 +249,7 @@ class _State:
     def evaluate(self) -> None:
         """Bring all up to date with ``c``."""
         problem, op = self.problem, self.problem.operator
-        squares, self.total, size = stencil.write_imbalance(
+        squares, self.total, size, self.net, self.change = stencil.write_imbalance(
             self.c,
             problem.sink,
             problem.source,
@@ -248,7 +272,8 @@ class _State:
         else:
             from multicell.nutrient.multigrid_kernels import add_correction
 
-            self.problem.team.share(add_correction, len(c), c, correction, share, self.c)
+            light = stencil.teams(self.problem.team, c.size)[1]
+            light.share(add_correction, len(c), c, correction, share, self.c)
         self.evaluate()
 
     def along(self, correction: stencil.Floats) -> float:
@@ -257,8 +282,8 @@ class _State:
             return stencil.flat_dot(self.residual.ravel(), correction.ravel())
         from multicell.nutrient.multigrid_kernels import dot_planes
 
-        parts = np.empty(len(self.c))
-        self.problem.team.share(dot_planes, len(self.c), self.residual, correction, parts)
+        parts, light = np.empty(len(self.c)), stencil.teams(self.problem.team, self.c.size)[1]
+        light.share(dot_planes, len(self.c), self.residual, correction, parts)
         return float(parts.sum())
 
     def lift(self) -> bool:
@@ -285,14 +310,19 @@ class _State:
         """Return the norm of the imbalance in mM/s at which the solution is accepted.
 
         By Cauchy's inequality the absolute imbalances then sum to at most ``tolerance`` times the
-        uptake. Below the rounding error of the imbalance itself nothing can be asked.
+        uptake; where that is not the finest one, also to no more than a change of all
+        concentrations by that part makes of them. Below the rounding error of the imbalance itself
+        nothing can be asked.
         """
         problem, varied = self.problem, self.problem.operator.varied
         most = 1.0 if varied is None else float(varied.max())
         # the largest rate of a node, 1/s, but for the uptake's
         quick = problem.operator.stiffness * max(most, 1.0) + problem.linear / 6.0
         rounding = 8.0 * sys.float_info.epsilon * quick * self.norm
-        return max(tolerance * self.total / math.sqrt(self.c.size), rounding)
+        total = self.total
+        if problem.tolerance > BALANCE_TOLERANCE:
+            total = min(total, self.change)
+        return max(tolerance * total / math.sqrt(self.c.size), rounding)
 
     def uncertainty(self) -> float:
         """Return the largest error of a concentration, mM, that the accepted imbalance allows.
@@ -303,7 +333,15 @@ class _State:
         op = self.problem.operator
         crossing = 0.5 * max(op.shape) ** 2 / op.stiffness
         slowest = min(crossing, 1.0 / self.problem.linear) if self.problem.linear else crossing
-        return self.target(BALANCE_TOLERANCE) * slowest
+        return self.target(self.problem.tolerance) * slowest
+
+    def close(self) -> None:
+        """Balance the sum over all nodes by a factor on the concentrations.
+
+        What is left is of the second order in it.
+        """
+        if self.change > 0.0:
+            self.c *= 1.0 + self.net / self.change
 
     def empty_copy(self) -> _State:
         """Return the same problem at another concentration, not filled yet.

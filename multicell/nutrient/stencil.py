@@ -43,8 +43,19 @@ Such fields have ``weights``, of one if nothing differs: a test for it in the lo
 takes two to four times as long.
 """
 
-PART = 150_000
+PART = 100_000
 """Least number of nodes for each thread that shares a loop: with fewer, waking it is no gain."""
+
+_LIGHT = 2
+"""Factor of it for loops in which nodes do not see each other: these take a quarter of the time."""
+
+
+def teams(team: Team, nodes: int) -> tuple[Team, Team]:
+    """Return those of a team that are worth waking for loops over so many nodes.
+
+    The second for loops in which nodes do not see each other.
+    """
+    return team.at_most(nodes // PART), team.at_most(nodes // (_LIGHT * PART))
 
 
 def face_means(varied: NDArray[Any], axis: int, repeats: bool = False) -> NDArray[Any]:
@@ -175,37 +186,27 @@ def write_imbalance(
     residual: Floats,
     rate: Floats,
     team: Team | None = None,
-) -> tuple[float, float, float]:
+) -> tuple[float, float, float, float, float]:
     """Write sources minus sinks of all nodes (mM/s) and the sinks' derivative (1/s).
 
     The sinks are uptake, ``sink`` at most (mM/s), and ``linear`` (1/s) times c; ``source`` is in
     mM/s, c and ``half`` in mM. ``residual`` and ``rate`` may be in single precision: it is the last
     rounding that they get, and on many nodes memory is what takes the time.
 
-    Return the sums of residual², of all sinks, and of c²: over all nodes in their order, or with a
-    ``team``, whose threads share the planes, of each plane first.
+    Return the sums of residual², of all sinks, of c², of the residual, and of what it loses for a
+    relative change of all c: over all nodes in their order, or with a ``team``, whose threads share
+    the planes, of each plane first.
     """
     planes = len(c)
-    block = planes if team is None else 1
-    parts = np.empty((3, planes // block))
-    (team or Team()).share(
-        imbalance_of_planes,
-        planes,
-        c,
-        sink,
-        source,
-        half,
-        stiffness,
-        linear,
-        ghost,
-        weights,
-        residual,
-        rate,
-        parts,
-        block,
-    )
-    squares, total, size = parts.sum(axis=1)
-    return float(squares), float(total), float(size)
+    law = sink, source, half, stiffness, linear, ghost, weights
+    if team is None:
+        parts = np.empty((5, 1))
+        imbalance_of_planes(0, planes, c, *law, residual, rate, parts, planes)
+    else:
+        parts = np.empty((5, planes))
+        team.share(imbalance_of_planes, planes, c, *law, residual, rate, parts, 1)
+    squares, total, size, net, change = parts.sum(axis=1).tolist()
+    return squares, total, size, net, change
 
 
 @_jit
@@ -227,17 +228,17 @@ def imbalance_of_planes(
 ) -> None:
     """Do what :func:`write_imbalance` does for the planes from ``begin`` to ``end``.
 
-    ``parts``, (3, planes / block), are the sums over each ``block`` of planes.
+    ``parts``, (5, planes / block), are the sums over each ``block`` of planes.
     """
     ny, nz = c.shape[1:]
     row, diagonal = np.empty(nz), np.empty(nz)
     for k in range(nz):
         diagonal[k] = 6.0
-    sinks = np.empty(nz)
-    squares, total, size = 0.0, 0.0, 0.0
+    sinks, changes = np.empty(nz), np.empty(nz)
+    squares, total, size, net, change = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(begin, end):
         if i % block == 0:
-            squares, total, size = 0.0, 0.0, 0.0
+            squares, total, size, net, change = 0.0, 0.0, 0.0, 0.0, 0.0
         for j in range(ny):
             if weights is None:
                 _fill_row(c, ghost, i, j, row)
@@ -249,16 +250,21 @@ def imbalance_of_planes(
                 v = e[k]
                 taken, slope = uptake_and_slope(most[k], v, half)
                 spent = taken + linear * v
-                row[k] = brought[k] - stiffness * (diagonal[k] * v - row[k]) - spent
+                outward = stiffness * (diagonal[k] * v - row[k])
+                row[k] = brought[k] - outward - spent
                 left[k] = row[k]
                 slopes[k] = slope + linear
                 sinks[k] = spent
+                changes[k] = outward + (slope + linear) * v
             for k in range(nz):
                 squares += row[k] * row[k]
                 total += sinks[k]
                 size += e[k] * e[k]
+                net += row[k]
+                change += changes[k]
         place = i // block
         parts[0, place], parts[1, place], parts[2, place] = squares, total, size
+        parts[3, place], parts[4, place] = net, change
 
 
 @_jit

@@ -90,7 +90,9 @@ def _environment() -> Environment:
         "label": _label,
         "limit": _limit,
         "present": _present,
-        "setting": lambda row: f"{row['setting']:.3g}{' s' if row['control'] == 'step' else ''}",
+        "setting": lambda row: (
+            f"{row['setting']:.3g}{' s' if row['control'] in ('step', 'time') else ''}"
+        ),
         "swatch": "background:{}".format,
         "text": _text,
     }

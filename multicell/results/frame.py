@@ -88,15 +88,21 @@ class Field:
         count = self.values.shape[direction]
         return np.asarray(self.origin[direction] + (np.arange(count) + 0.5) * self.spacing)
 
-    def to_pde(self) -> ScalarField:
-        """Return a copy as py-pde's ``ScalarField``, with the name as label.
+    def to_pde(self, *, copy: bool = True) -> ScalarField:
+        """Return it as py-pde's ``ScalarField``, with the name as label.
 
         On a ``CartesianGrid`` in the coordinates of the cells (µm; x and y of a plane). Shells are
         a ``SphericalSymGrid``, whose coordinate is the distance from ``origin``.
+
+        Parameters
+        ----------
+        copy
+            Whether it has values of its own; else its ``data`` are :attr:`values`, which are
+            read-only in a run and its frames.
         """
         from multicell.results.pde_fields import scalar_field
 
-        return scalar_field(self)
+        return scalar_field(self, copy=copy)
 
 
 @final

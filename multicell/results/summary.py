@@ -168,8 +168,8 @@ def _death_notes(exposures: Mapping[str, float]) -> list[str]:
         return []
     where = "one coupling step" if count == 1 else f"{count} coupling steps"
     return [
-        f"In {where} deaths that change what other cells are exposed to did not settle; they are "
-        "counted in the error of deaths. A shorter coupling_step keeps them apart."
+        f"In {where} deaths or changes of type that change what other cells are exposed to did not "
+        "settle; they are counted in the error of deaths. A shorter coupling_step keeps them apart."
     ]
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 from multicell.cells import SPHERE
 from multicell.errors import SceneError
 from multicell.scene.nutrient import OWN_SOLVERS
-from multicell.scene.scales import largest_spacing, regime
+from multicell.scene.scales import largest_spacing, regime, scales
 from multicell.scene.sizes import typical_radius
 from multicell.schema import near_miss
 
@@ -23,9 +23,17 @@ if TYPE_CHECKING:
 _ADDED: Final = "multicell-implicit"
 """What the package adds to the registry besides, when its equations are loaded."""
 
-_OTHERS: Final = ("explicit_mpi", "milstein")
-"""Solvers for several processes and for noise, which a field of a run has not."""
+_UNFIT: Final = {
+    "explicit_mpi": "which shares a grid among processes, and a run is one process",
+    "milstein": "which solves equations with noise, and fields have none",
+}
+"""Solvers of the registry that no field can take, and why."""
 
+MOST_FIELD_STEPS: Final = 1_000_000  # in one coupling step, or until a field is at rest
+
+_AT_REST: Final = 3.0
+"""Diffusion times until a field rests to the tolerance of runs: 21 of its slowest mode, a tenth of
+that time each in a ball, and half of that more, since times are doubled until it does."""
 
 _LIMITS: Final = {
     "runge-kutta": 2.785,  # the real interval of stability of the method of fourth order
@@ -57,13 +65,24 @@ def expected_step(scene: Scene, name: str) -> float:
     return longest_step(nutrient.solver, diffusion + nutrient.decay + nutrient.perfusion + uptake)
 
 
+def expected_steps(scene: Scene, name: str) -> int:
+    """Return the steps of a solver of fixed ones in a coupling step, or until the field rests.
+
+    Zero for solvers that choose their steps by a tolerance.
+    """
+    time = scene.coupling_step
+    if regime(scene, name) == "steady":
+        time = _AT_REST * scales(scene, name).time
+    return math.ceil(time / expected_step(scene, name))
+
+
 def known_solvers() -> list[str]:
     """Return the values that ``solver`` of a field may have."""
     from pde.solvers import registered_solvers
 
     # py-pde lists each of its own by the name of its class, too
     names = {name for name in registered_solvers() if not name.endswith("Solver")}
-    return [*OWN_SOLVERS, *sorted({_ADDED, *names} - {*OWN_SOLVERS, *_OTHERS})]
+    return [*OWN_SOLVERS, *sorted({_ADDED, *names} - {*OWN_SOLVERS, *_UNFIT})]
 
 
 def check_solver(scene: Scene, name: str) -> None:
@@ -75,12 +94,27 @@ def check_solver(scene: Scene, name: str) -> None:
     if solver not in OWN_SOLVERS:
         known = known_solvers()
         if solver not in known:
-            raise SceneError(path, f"is '{solver}', no solver", near_miss(solver, known))
+            why = _UNFIT.get(solver, "no solver")
+            raise SceneError(path, f"is '{solver}', {why}", near_miss(solver, known))
         if nutrient.finite_medium is not None:
             problem = f"is '{solver}', but a finite medium is solved for together with the field"
             raise SceneError(path, problem, "Let it be 'auto', or leave finite_medium out.")
+        _check_steps(scene, name, path)
         return
     wanted = {"steady": "multicell-steady", "transient": "multicell-march"}[regime(scene, name)]
     if solver != wanted:
         problem = f"is '{solver}', but the field is {regime(scene, name)}"
         raise SceneError(path, problem, f"Take '{wanted}' or 'auto', or state another regime.")
+
+
+def _check_steps(scene: Scene, name: str, path: str) -> None:
+    """Refuse a solver that would need too many steps."""
+    solver, number = scene.nutrients[name].solver, expected_steps(scene, name)
+    if number > MOST_FIELD_STEPS:
+        steady = regime(scene, name) == "steady"
+        until = "until the field rests" if steady else "in a coupling step"
+        problem = (
+            f"is '{solver}', which would need about {number:,} steps of "
+            f"{expected_step(scene, name):.2g} s {until}, more than {MOST_FIELD_STEPS:,}"
+        )
+        raise SceneError(path, problem, "Take 'auto' or 'multicell-implicit'.")

@@ -18,8 +18,10 @@ import numpy as np
 
 from multicell.biology import driven
 from multicell.biology.division import change_types, changing, mutate_as_found
+from multicell.biology.encounters import with_encounters
 from multicell.biology.exposure import Exposure, course_with_deaths, remainders
 from multicell.biology.growth import growth_factor, lag_after
+from multicell.biology.responding import with_newborn
 from multicell.biology.states import irradiate
 from multicell.biology.step import age_cells, bind_changed, decide, divide_and_remove, grow
 from multicell.biology.surface import check_surface_held
@@ -32,6 +34,7 @@ from multicell.simulation.timeline import Laps
 from multicell.vectors import wrapped
 
 if TYPE_CHECKING:
+    from multicell.biology.exposure import Jumps
     from multicell.biology.step import Decided, Grown
     from multicell.cells import Cells, FloatArray, IntArray, Signals
     from multicell.results.lineage import Lineage
@@ -196,6 +199,7 @@ def _after_events(
         named = driven.pass_on(named, cells, first)
         if len(contacts):
             contacts = cells.id[contact_rows(cells, contacts)]
+        contacts = with_newborn(plan, cells, contacts, first)
     cells, unsorted = sorted_in_space(cells, unsorted, run.mover.system.period)
     released = state.released + lost + after.released
     return _People(
@@ -259,7 +263,8 @@ def _exposed(
     marches = fields.marches
     attempt = run, state, people, signals, timeline, fields.steady if jumps else (), followed, lap
     again = bool(fields.fields) and (bool(plan.acting) or (jumped and marches))
-    (exposure, decided, correction, met), until, missed, moved = _settled(attempt, again)
+    tried, until, missed, moved = _settled(attempt, again)
+    exposure, decided, correction, met, _ = tried
     cells, dead, released = decided
     lineage, exposures = people.lineage, state.exposures
     if np.count_nonzero(dead):
@@ -294,12 +299,14 @@ class _Tried(NamedTuple):
     - ``correction``: by what part the fields at the end have changed the networks that change them;
       None where no network does
     - ``met``, (n,): when what cells wait for in their networks came true
+    - ``unsettled``: deaths and changes of type that still let others die or change
     """
 
     exposure: Exposure
     decided: Decided
     correction: float | None
     met: FloatArray | None
+    unsettled: int
 
 
 def _attempt(
@@ -362,19 +369,33 @@ def _attempt(
             for name, last in alone.items()
             if name in followed and name not in held and name not in inner
         }
-    exposure = Exposure(
-        cells,
-        run.signals(cells, people.contacts, end),
-        end - begin,
-        began=state.cells,
-        before=before,
-        inner=inner,
-        held=held,
-    )
-    decided = decide(plan, cells, exposure.signals, exposure, ahead=timeline.ahead, time=end)
-    exposure.cells = decided.cells
+    found = run.signals(cells, people.contacts, end)
+
+    def respond(jumps: Jumps | None = None) -> tuple[Exposure, Decided]:
+        exposure = Exposure(
+            cells,
+            found,
+            end - begin,
+            began=state.cells,
+            before=before,
+            inner=inner,
+            held=held,
+            jumps=jumps,
+        )
+        decided = decide(plan, cells, found, exposure, ahead=timeline.ahead, time=end)
+        exposure.cells = decided.cells
+        return exposure, decided
+
+    unsettled = 0
+    if plan.counted:
+        contacts = state.contacts, people.contacts
+        exposure, decided, unsettled = with_encounters(
+            plan, respond, contacts, people.next_id, _MOST_PASSES
+        )
+    else:
+        exposure, decided = respond()
     lap("biology")
-    return _Tried(exposure, decided, correction, met)
+    return _Tried(exposure, decided, correction, met, unsettled)
 
 
 def _settled(attempt: tuple[Any, ...], again: bool) -> tuple[_Tried, Any, int, int]:
@@ -405,4 +426,4 @@ def _settled(attempt: tuple[Any, ...], again: bool) -> tuple[_Tried, Any, int, i
         fields.state = state.fields
         tried = trial(until=until, alone=alone)
     missed = abs(int(np.count_nonzero(tried.decided.died)) - int(died))
-    return tried, until, missed, moved
+    return tried, until, missed, moved + tried.unsettled

@@ -14,7 +14,7 @@ import numpy as np
 from multicell.biology import driven
 from multicell.biology.cycle import leave_phases, phase_pace
 from multicell.biology.division import divide
-from multicell.biology.responding import wants_rest
+from multicell.biology.responding import wants_rest, with_newborn
 from multicell.biology.states import Deaths, die
 from multicell.biology.step import bind_changed
 from multicell.biology.waiting import passages
@@ -149,6 +149,7 @@ def _divided(
     contacts = passed.contacts
     if len(contacts):
         contacts = divided.id[contact_rows(divided, contacts)]
+    contacts = with_newborn(plan, divided, contacts, first)
     return passed._replace(
         cells=divided,
         contacts=contacts,

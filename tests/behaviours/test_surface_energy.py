@@ -47,6 +47,7 @@ def test_force_is_that_of_a_law_with_the_mean_energy(name, factors):
     assert exact.min() < 0.0
 
 
+@pytest.mark.slow
 def test_pull_off_is_that_of_exact_jkr():
     """It is 3/2 π w r with the work of adhesion w = σ √(f g), whatever the cells' stiffness."""
     law = mc.Scene.from_dict({"duration": "1 h", "contact": {"law": "exact-jkr"}}).contact

@@ -41,6 +41,7 @@ def covered(problem, sample, truth):
     return [[x in f[r.name] for r, x in zip(problem.ranges, truth, strict=True)] for f in found]
 
 
+@pytest.mark.slow
 @pytest.mark.harness
 @pytest.mark.parametrize("case", CASES)
 def test_intervals_cover_as_often_as_they_say(case, request):

@@ -62,6 +62,7 @@ def test_the_fit_is_that_of_scipys_curve_fit():
     assert got == pytest.approx(wanted, rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shared", [True, False])
 def test_intervals_cover_what_is_true(shared):
     """95 % of 200 within three binomial standard deviations; seeds scatter all doses alike."""

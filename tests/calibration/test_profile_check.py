@@ -65,6 +65,7 @@ def test_ends_that_data_do_not_bound_are_left_out():
     assert len(checked_profile(one, "p0", repeats=4, pool=Pool())) == 2
 
 
+@pytest.mark.slow
 def test_runs_that_scatter_are_told_from_an_emulator_that_is_wrong():
     """Over some tissues the difference has the error that is stated, and no bias."""
     rng, away = np.random.default_rng(2), []

@@ -104,6 +104,7 @@ def test_known_scatter_of_runs_is_taken_off():
     assert found == pytest.approx(best, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_factors_beside_scatter_of_the_same_size_are_not_too_small():
     """With equal chances of all logarithms 78 % of the factors were below these 90 % quantiles."""
     rng, problem = np.random.default_rng(1), SimpleNamespace(observables={"x": np.arange(30)})

@@ -234,6 +234,7 @@ def map_of_plants():
     return scale, stability(SMALL, methods, threads=1)
 
 
+@pytest.mark.slow
 def test_the_limit_of_a_planted_failure_is_found_to_three_per_cent(map_of_plants):
     scale, result = map_of_plants
     for row in result.limits():

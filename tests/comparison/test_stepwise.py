@@ -137,6 +137,7 @@ RICH = {
 }
 
 
+@pytest.mark.sample("2")
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_nutrient_division_types_friction_and_remembered_contacts_are_held(dimensions):
     rich = RICH if dimensions == 3 else {k: v for k, v in RICH.items() if k in IN_A_PLANE}

@@ -118,6 +118,7 @@ def test_sums_over_pairs_and_their_derivative():
     np.testing.assert_array_equal(same.neighbours.reach, own.neighbours.reach)
 
 
+@pytest.mark.sample("unlike cells pull a tenth")
 @pytest.mark.kernels
 @pytest.mark.parametrize(("factors", "least", "most"), [
     ({"a": {"b": 0.1}, "b": {}}, 0.0, 0.2), ({"a": {}, "b": {}}, 0.4, 0.7),

@@ -1,9 +1,12 @@
 """Tutorials as notebooks: the programs of the page, for readers with nothing but the package."""
 
+import ast
+import os
 import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import notebook_runner
 import pytest
@@ -17,7 +20,9 @@ pytest.importorskip("myst_nb")
 DOCS = ROOT / "docs"
 sys.path.insert(0, str(DOCS / "extensions"))
 
+import environments  # noqa: E402
 import notebooks  # noqa: E402
+import requirements  # noqa: E402
 
 PAGES = notebooks.tutorials(DOCS)
 by_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
@@ -105,82 +110,95 @@ def test_first_tutorial_explains_every_line_of_a_run(tmp_path):
 
 
 def test_environment_has_what_an_extra_brings_and_no_more():
-    gone = notebook_runner.refused([".[study]"])
+    gone = requirements.refused([".[study]"])
     assert {"pyvista", "scanpy", "IPython", "myst_nb", "pytest"} <= gone
     assert {"numpy", "PIL", "matplotlib", "pandas", "distributed", "xarray"} & gone == set()
 
 
-SHORTER = {
-    "cluster-study": {'duration="2 d"': 'duration="10 h"', "0.02,0.03,0.05 mM": "0.02,0.05 mM"},
-    "coculture": {", 2.5)": ", 4)"},
-    "dose-response-in-an-hour": {
-        "count = 60": "count = 30",
-        "--seeds 4": "--seeds 2",
-        "seeds=4": "seeds=2",
-    },
-    "first-spheroid": {
-        '"4 d"': '"1 d"',
-        '--time "3 d"': '--time "1 d"',
-        'duration = "3 d"': 'duration = "26 h"',
-        'duration="4.5 d"': 'duration="30 h"',
-    },
-    "fit-and-predict": {
-        '"wm983b", 3': '"wm983b", 5',
-        "log 70:180": "log 15:40",
-        "budget=38": "budget=38, cores=1",
-        '"coupling_step": "2 h"': '"coupling_step": "4 h"',
-        '"duration": "21 d"': '"duration": "12 d"',
-        "sample(10": "sample(3",
-    },
-    "network-in-every-cell": {'invasion.toml")': 'invasion.toml").with_changes(duration="5 h")'},
-    "own-cell-line": {
-        'coupling_step = "20 min"': 'coupling_step = "2 h"',
-        "--budget 60": "--budget 38",
-        "budget=60": "budget=38",
-        "sample(10": "sample(3",
-    },
-    "paraview-pandas-scanpy": {
-        'duration="2.5 d"': 'duration="10 h"',
-        'output.every="12 h"': 'output.every="2 h"',
-    },
-    "radiotherapy": {"count = 1000": "count = 300", 'duration = "6 d"': 'duration = "61 h"'},
-    "resistant-clone": {
-        'duration = "8 d"': 'duration = "101 h"',
-        "count = 200": "count = 60",
-        "fraction = 0.98": "fraction = 0.9",
-        "fraction = 0.02": "fraction = 0.1",
-        '"duration": "4 d"': '"duration": "1 d"',
-        'duration="3 d"': 'duration="1 d"',
-    },
-}
-"""What stands in programs of a page, and what a test of imports, names and files runs instead.
+def test_processes_find_no_other_package(tmp_path):
+    variables = requirements.variables(tmp_path, {"pluggy", "packaging"})
+    modules = ("numpy", "packaging", "pluggy.hooks", "json")
+    program = f"""
+import importlib
+for name in {modules}:
+    try:
+        importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        print(error.name)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, **variables},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == ["packaging", "pluggy"]
 
-The documentation's build runs each page with the numbers that stand there.
+
+def test_a_build_executes_each_tutorial_in_its_environment(monkeypatch):
+    for name in ("PYTHONPATH", requirements.REFUSED):
+        monkeypatch.setenv(name, "")
+    handlers = {}
+    app = SimpleNamespace(srcdir=DOCS, connect=handlers.__setitem__)
+    environments.setup(app)
+    handlers["builder-inited"](app)
+    seen = {}
+    for page in [*PAGES, DOCS / "pictures.md"]:
+        name = str(page.relative_to(DOCS).with_suffix(""))
+        handlers["source-read"](app, name, [])
+        seen[page.stem] = set(os.environ[requirements.REFUSED].split(","))
+    handlers["build-finished"](app, None)
+    assert seen.pop("pictures") == {""}
+    for stem, gone in seen.items():
+        assert ("scanpy" in gone, "SALib" in gone, "antimony" in gone) == {
+            "paraview-pandas-scanpy": (False, True, True),
+            "network-in-every-cell": (True, False, False),
+        }.get(stem, (True, False, True)), stem
+        assert {"ipykernel", "IPython", "numba", "matplotlib"} & gone == set()
+
+
+@by_page
+def test_imports_are_of_its_environment(page):
+    gone, brought = requirements.refused(environments.asked(page)), set()
+    for cell in notebooks.notebook(page).cells:
+        if cell.cell_type == "code" and not cell.source.startswith("%%"):
+            text = re.sub(r"(?m)^( *)[!%].*$", r"\1pass", cell.source)
+            for node in ast.walk(ast.parse(text)):
+                if isinstance(node, ast.Import):
+                    brought |= {name.name.partition(".")[0] for name in node.names}
+                if isinstance(node, ast.ImportFrom):
+                    brought.add(node.module.partition(".")[0])
+    assert brought & gone == set()
+
+
+SHORTER = {
+    '"4 d"': '"1 d"',
+    '--time "3 d"': '--time "1 d"',
+    'duration = "3 d"': 'duration = "26 h"',
+    'duration="4.5 d"': 'duration="30 h"',
+}
+"""What stands in programs of the first tutorial, and what a test of names and files runs instead.
+
+The documentation's build runs each page with the numbers that stand there, in its environment.
 """
 
 
-def shortened(page):
-    """Return the notebook of a page with less to compute."""
-    book = notebooks.notebook(page)
+@pytest.mark.slow
+def test_runs_as_a_plain_program_from_an_empty_folder(tmp_path):
+    page = DOCS / "tutorials" / "first-spheroid.md"
+    book, work = notebooks.notebook(page), tmp_path / "work"
     cells = [cell for cell in book.cells if cell.cell_type == "code"]
-    for old, new in SHORTER.get(page.stem, {}).items():
+    for old, new in SHORTER.items():
         assert any(old in cell.source for cell in cells), old
         for cell in cells:
             cell.source = cell.source.replace(old, new)
-    return book
-
-
-@pytest.mark.slow
-@by_page
-def test_runs_in_its_environment_from_an_empty_folder(page, tmp_path):
-    asked = notebooks.environment(page).replace('"', "").split()
-    book, work = tmp_path / "book.ipynb", tmp_path / "work"
-    nbformat.write(shortened(page), book)
+    nbformat.write(book, tmp_path / "book.ipynb")
     work.mkdir()
     done = subprocess.run(
-        [sys.executable, notebook_runner.__file__, book],
+        [sys.executable, notebook_runner.__file__, tmp_path / "book.ipynb"],
         cwd=work,
-        env=notebook_runner.environment(asked, tmp_path / "environment"),
+        env=notebook_runner.environment(environments.asked(page), tmp_path / "environment"),
         capture_output=True,
         text=True,
         timeout=1200,

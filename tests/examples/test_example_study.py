@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 from example_programs import is_picture, load
 
 import multicell as mc
@@ -10,6 +11,7 @@ import multicell as mc
 TWO_CELLS = {"duration": "18 h", "output.every": "6 h"}
 
 
+@pytest.mark.slow
 def test_a_study_of_twelve_runs(tmp_path: Path) -> None:
     study = load("study").main(tmp_path / "study", **TWO_CELLS)
     table = study.to_xarray()

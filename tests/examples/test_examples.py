@@ -100,6 +100,7 @@ def test_own_observables_are_recorded_as_frames_have_them() -> None:
     assert result.summary()["dividing_volume"] == pytest.approx(volume, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_own_laws_bring_cells_to_rest_as_ours_do() -> None:
     ends = load("own_law").main()
     scene = mc.load_scene("settle").with_changes({"initial.count": 50, "duration": "20 min"})

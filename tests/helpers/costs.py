@@ -73,17 +73,18 @@ class Costs:
     @pytest.hookimpl(hookwrapper=True, tryfirst=True)
     def pytest_runtest_protocol(self, item):
         """Measure a test with its fixtures."""
-        before, compiled = spent(), self.compiled.seconds
+        others, compiled = spent(), self.compiled.seconds
         collected = self.collected.seconds
         self.compiled.names.clear()
         self.compiled.took.clear()
+        own = time.process_time()  # without the search for processes, some ms for each test
         yield
-        own, others = (after - earlier for after, earlier in zip(spent(), before, strict=True))
+        own = time.process_time() - own
         row = {
             "test": item.nodeid,
             "slow": item.get_closest_marker("slow") is not None,
             "own": own,
-            "others": others,
+            "others": spent() - others,
             "compiling": self.compiled.seconds - compiled,
             "garbage": self.collected.seconds - collected,
             "compiled": self.compiled.names,
@@ -94,7 +95,7 @@ class Costs:
 
 
 def spent():
-    """Return the CPU time of this process and of others that it has waited for or has now, s."""
+    """Return the CPU time of this process, s, and of others that it has waited for or has now."""
     import psutil
 
     this, others = psutil.Process(), 0.0
@@ -104,7 +105,7 @@ def spent():
         except psutil.Error:  # it has just ended
             continue
     own = this.cpu_times()
-    return time.process_time(), others + own.children_user + own.children_system
+    return others + own.children_user + own.children_system
 
 
 def pytest_addoption(parser):

@@ -10,109 +10,35 @@ be imported.
 from __future__ import annotations
 
 import ast
-import importlib.metadata
 import json
 import os
 import re
 import shlex
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
-
-from packaging.requirements import Requirement
-from packaging.utils import canonicalize_name
 
 import multicell
 
-ROOT = Path(__file__).parents[2]
 PACKAGE = Path(multicell.__file__).parents[1]
 """Where the package is that tests import; for that of another folder all would be compiled anew."""
-BLOCK = '''
-import os
-import sys
-
-REFUSED = frozenset(os.environ["REFUSED_MODULES"].split(","))
-
-
-class Filtered:
-    """A finder of modules that does not find some."""
-
-    def __init__(self, finder):
-        self.finder = finder
-
-    def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in REFUSED:
-            return None
-        return self.finder.find_spec(name, path, target)
-
-    def __getattr__(self, name):
-        return getattr(self.finder, name)
-
-
-sys.meta_path[:] = [Filtered(finder) for finder in sys.meta_path]
-'''
-
-
-def needed(asked: list[str]) -> set[str]:
-    """Return names of distributions that requirements bring, with what those need in turn.
-
-    ``.[extra]`` stands for this package, whose lists are in ``pyproject.toml``.
-    """
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-    found: set[tuple[str, str]] = set()
-    waiting = [Requirement(text.replace(".[", "multicell[")) for text in asked]
-    while waiting:
-        one = waiting.pop()
-        name = canonicalize_name(one.name)
-        for extra in {"", *one.extras}:
-            if (name, extra) in found:
-                continue
-            found.add((name, extra))
-            if name == "multicell":
-                lines = (
-                    project["optional-dependencies"][extra] if extra else project["dependencies"]
-                )
-            else:
-                lines = _requires(name)
-            for line in map(Requirement, lines):
-                if line.marker is None or line.marker.evaluate({"extra": extra}):
-                    waiting.append(line)
-    return {name for name, _ in found}
-
-
-def _requires(name: str) -> list[str]:
-    try:
-        return importlib.metadata.requires(name) or []
-    except importlib.metadata.PackageNotFoundError:
-        return []
-
-
-def refused(asked: list[str]) -> set[str]:
-    """Return modules of this environment that requirements do not bring."""
-    brought = needed(asked)
-    return {
-        module
-        for module, homes in importlib.metadata.packages_distributions().items()
-        if not {canonicalize_name(home) for home in homes} & brought
-    } - {"multicell"}
 
 
 def environment(asked: list[str], folder: Path) -> dict[str, str]:
     """Return variables for processes with packages of requirements only; writes to a folder."""
+    import requirements  # beside the documentation's extensions; processes have no need of it
+
     folder.mkdir()
-    (folder / "sitecustomize.py").write_text(BLOCK, "utf-8")
-    command = folder / "multicell"
-    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m multicell "$@"\n', "utf-8")
-    python = folder / "python"
-    python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n', "utf-8")
-    for program in (command, python):
+    for name, words in {"multicell": "-m multicell", "python": ""}.items():
+        program = folder / name
+        program.write_text(f'#!/bin/sh\nexec "{sys.executable}" {words} "$@"\n', "utf-8")
         program.chmod(0o755)
+    found = requirements.variables(folder, requirements.refused(asked))
     return {
         **os.environ,
-        "PYTHONPATH": os.pathsep.join([str(folder), str(PACKAGE)]),
+        **found,
+        "PYTHONPATH": os.pathsep.join([found["PYTHONPATH"], str(PACKAGE)]),
         "PATH": os.pathsep.join([str(folder), os.environ["PATH"]]),
-        "REFUSED_MODULES": ",".join(sorted(refused(asked))),
         "MPLBACKEND": "agg",
     }
 

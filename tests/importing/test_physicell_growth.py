@@ -198,6 +198,7 @@ def time_between(cells, grow, rule, step=0.05):
     return np.diff(times)[-1]
 
 
+@pytest.mark.sample("rule0")
 @pytest.mark.parametrize("rule", [
     (0.0, 0.17, 1200.0, 8), (0.00072, 0.05, 2400.0, 8), (0.0, 0.02, 2000.0, 4),
 ])  # fmt: skip

@@ -45,6 +45,7 @@ def everything(n, position, radius, young, chunk):
     return system
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chunk", [2048, 16])
 @pytest.mark.parametrize("fast", [0.0, 0.05, 0.5])
 def test_velocities_of_a_part_are_those_of_the_whole(fast, chunk):
@@ -123,6 +124,7 @@ def solved(kind, divided, atol, **options):
     return np.abs(outcome.position - exact).max(), system.work
 
 
+@pytest.mark.slow
 def test_after_a_division_it_meets_dop853_with_order_one(divided):
     """Error and number of steps are inverse to each other."""
     found = [solved(MultirateEuler, divided, atol) for atol in 10.0 ** -np.arange(2.0, 5.0)]
@@ -131,6 +133,7 @@ def test_after_a_division_it_meets_dop853_with_order_one(divided):
     assert np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(-1.0, abs=0.15)
 
 
+@pytest.mark.slow
 def test_one_division_among_many_cells_costs_less_than_with_equal_steps(divided):
     error, work = solved(MultirateEuler, divided, 1e-3)
     single, equal = solved(AdaptiveEuler, divided, 1e-3)
@@ -166,6 +169,7 @@ def test_steps_that_are_refused_without_end_end_a_loop():
     assert stepping.stop_reason(walk, counts, control, 600.0) == stepping.STALLED
 
 
+@pytest.mark.slow
 def test_threads_and_chunks_keep_the_result(divided):
     serial, work = solved(MultirateEuler, divided, 1e-3, chunk=16)
     shared, other = solved(MultirateEuler, divided, 1e-3, chunk=16, threads=2, shared_chunks=2)

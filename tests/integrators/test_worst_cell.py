@@ -23,6 +23,7 @@ def truth():
     return worst_cell.Truth(worst_cell.recorded("growing", VISCOSITY, max(STEPS)))
 
 
+@pytest.mark.slow
 def test_the_right_hand_side_is_that_of_the_package():
     for case in worst_cell.CASES:
         problem = worst_cell.recorded(case, 5.0, 2)

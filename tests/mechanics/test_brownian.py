@@ -123,6 +123,7 @@ def test_types_diffuse_by_their_scales_and_the_dead_not_at_all():
     is_variance(way[~still], 2 * 0.1 * 0.25 * 20.0, most=0.03)
 
 
+@pytest.mark.sample("euler", "auto", "cvode")
 @pytest.mark.parametrize("method", ["auto", "euler", "rk4", "rkc2", "cvode", "backward-euler"])
 def test_cells_without_neighbours_have_their_path_by_every_method(method):
     """Displacements of internal steps add up to that of the path, whatever integrates."""

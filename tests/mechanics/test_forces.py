@@ -28,6 +28,14 @@ def system(law, radius, young, *, duration=10.0, rate=None, options=None, **moti
     return made
 
 
+@pytest.mark.sample(
+    "hertz-400",
+    "jkr-400",
+    "jkr that does not stick-400",
+    "sticky physicell-400",
+    "jkr-2",
+    "hertz-4106",
+)
 @pytest.mark.parametrize(
     ("name", "n"), [*((name, 400) for name in SAMPLES), ("jkr", 2), ("hertz", 2 * CHUNK + 10)]
 )
@@ -51,6 +59,7 @@ def test_kernels_agree_with_sums_over_all_pairs(name, n):
     )
 
 
+@pytest.mark.sample("hertz", "jkr", "jkr that does not stick", "sticky physicell")
 @pytest.mark.parametrize("name", SAMPLES)
 def test_jacobian_of_every_law(name):
     law = SAMPLES[name]

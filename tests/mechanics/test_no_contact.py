@@ -89,7 +89,10 @@ def test_walls_hold_cells_that_share_a_place():
 
 
 def test_contacts_are_counted_where_a_response_asks():
-    """A pair that overlaps and one that does not; neither moves."""
+    """A pair that overlaps and one that does not; neither moves.
+
+    Of the pair the one that dies later has no living neighbour any more, and stays alive.
+    """
     response = {
         "behaviour": "apoptosis rate", "signal": "neighbours", "law": "threshold", "half": 0.5,
         "base": "0 1/h", "largest": "1000 1/h",
@@ -101,7 +104,9 @@ def test_contacts_are_counted_where_a_response_asks():
     assert 5.0 < 2 * radius < 9.0
     assert run.state.contacts.tolist() == [[0, 1]]
     finished(run)
-    assert run.cells.dead[np.argsort(run.cells.id)].tolist() == [True, True, False, False]
+    dead = run.cells.dead[np.argsort(run.cells.id)]
+    assert dead[:2].sum() == 1
+    assert not dead[2:].any()
 
 
 @pytest.mark.parametrize(

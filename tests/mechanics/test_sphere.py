@@ -143,6 +143,7 @@ def row_at_end(described):
     return simulation.history_row()
 
 
+@pytest.mark.slow
 def test_cells_grow_until_wall_or_gel_stops_them():
     rigid = row_at_end(scene())
     assert rigid["volume_fraction"] < 1.1

@@ -4,15 +4,18 @@ import itertools
 
 import numpy as np
 import pytest
-from pde import CartesianGrid, SphericalSymGrid
+from pde import CartesianGrid, FieldCollection, SphericalSymGrid
 from pde.solvers.euler import EulerSolver
 
 import multicell as mc
 from multicell.errors import NutrientFailed
 from multicell.nutrient.balance import BALANCE_COLUMNS, SIGNS
+from multicell.nutrient.equations import outside
 from multicell.nutrient.equations.outside import bring, settle
+from multicell.nutrient.equations.solvers import MarchFieldSolver
 from multicell.report.explain.scene import explain
-from multicell.scene.field_solvers import longest_step
+from multicell.scene.field_solvers import expected_steps, longest_step
+from multicell.simulation import Simulation
 
 FIXED = ("euler", "explicit", "runge-kutta", "adams-bashforth", "implicit", "crank-nicolson")
 CHOOSING = ("scipy", "multicell-implicit")
@@ -190,15 +193,73 @@ def few(**more):
     return mc.load_scene("spheroid").with_changes(FEW | more)
 
 
+@pytest.mark.sample("explicit-0.001-transient")
 @pytest.mark.parametrize("regime", ["steady", "transient"])
-def test_a_run_by_another_solver_equals_the_default_within_its_error(regime):
+@pytest.mark.parametrize(("solver", "error"), [("runge-kutta", 1e-5), ("explicit", 1e-3)])
+def test_a_run_by_another_solver_equals_the_default_within_its_error(regime, solver, error):
     scene = few(**{"nutrients.oxygen.regime": regime, "nutrients.oxygen.time_tolerance": 1e-6})
-    other = scene.with_changes({"nutrients.oxygen.solver": "runge-kutta"})
+    other = scene.with_changes({"nutrients.oxygen.solver": solver})
     one, two = mc.run(scene), mc.run(other)
     exact, found = (r.frames[-1].fields["oxygen"].values for r in (one, two))
-    error = 1e-8 if regime == "steady" else 1e-5
-    np.testing.assert_allclose(found, exact, rtol=error)
+    np.testing.assert_allclose(found, exact, rtol=1e-8 if regime == "steady" else error)
     assert abs(two.summary()["ledger"]["relative_remainder"]) < 1e-10
+
+
+BOX = {"x": ["-30 um", "30 um"], "y": ["-30 um", "30 um"], "z": ["-30 um", "30 um"]}
+PLANE = {"dimensions": 2, "nutrients.oxygen.height": "100 um"}
+
+
+@pytest.mark.parametrize(
+    "space",
+    [
+        {"domain": {**BOX, "periodic": ["x", "y"]}},
+        {"domain": {"x": BOX["x"], "y": BOX["y"], "periodic": ["x"]}, **PLANE},
+        PLANE,
+        {"nutrients.oxygen.geometry": "radial"},
+    ],
+    ids=["periodic box", "periodic plane", "plane", "shells"],
+)
+def test_any_space_is_solved_with_a_closed_account(space):
+    spacing = {"nutrients.oxygen.spacing": "10 um", "nutrients.oxygen.time_tolerance": 1e-6}
+    scene = few(**space, **spacing)
+    one, two = mc.run(scene), mc.run(scene.with_changes({"nutrients.oxygen.solver": "explicit"}))
+    exact, found = (r.frames[-1].fields["oxygen"] for r in (one, two))
+    assert found.values.std() > 1e-4 * found.values.mean()
+    np.testing.assert_allclose(found.values, exact.values, rtol=1e-3)
+    assert abs(two.summary()["ledger"]["relative_remainder"]) < 1e-10
+
+
+@pytest.mark.parametrize("medium", [None, {"volume": "1e9 um^3"}], ids=["plenty", "finite"])
+@pytest.mark.parametrize("space", [PLANE, {"domain": BOX}], ids=["plane", "domain"])
+def test_the_state_of_a_run_is_one_of_py_pde(space, medium, monkeypatch):
+    states, advance = [], MarchFieldSolver.make_stepper
+
+    def noting(self, state, dt=None):
+        states.append((state, "_grid" in vars(state)))
+        return advance(self, state, dt)
+
+    monkeypatch.setattr(MarchFieldSolver, "make_stepper", noting)
+    run = Simulation(few(**space, **{"nutrients.oxygen.finite_medium": medium}), threads=1)
+    run.step()
+    run.step()
+    (group,) = run._run.field_system.groups
+    grids = []
+    for state, made in states:
+        assert isinstance(state, FieldCollection)
+        assert not made  # the march asks for no grid
+        grids.append(state.grid)
+        assert next(iter(state)).label == "oxygen"
+        assert state[0].data.shape == state.grid.shape
+        assert np.shares_memory(state[0].data, state.data)
+    assert isinstance(grids[0], CartesianGrid)
+    assert grids[0].num_axes == (2 if "dimensions" in space else 3)
+    assert (grids[0] is grids[-1]) == (grids[0] == grids[-1])
+    if "domain" in space:
+        assert grids[0] is grids[-1]
+    np.testing.assert_array_equal(states[-1][0][0].data.ravel(), group.nodes.ravel())
+    view = run.fields["oxygen"].to_pde(copy=False)
+    assert np.shares_memory(view.data, run._run.field_system.fields["oxygen"].values)
+    assert view.grid is grids[-1]
 
 
 def test_resumed_runs_have_the_same_bits(tmp_path):
@@ -216,7 +277,12 @@ def test_scenes_refuse_what_no_solver_can_do():
     medium = {"volume": "1e9 um^3"}
     cases = (
         ({"nutrients.oxygen.solver": "eulr"}, r"is 'eulr', no solver.*'euler'"),
-        ({"nutrients.oxygen.solver": "explicit_mpi"}, "no solver"),
+        ({"nutrients.oxygen.solver": "explicit_mpi"}, "a run is one process"),
+        ({"nutrients.oxygen.solver": "milstein"}, "equations with noise, and fields have none"),
+        (
+            {"nutrients.oxygen.solver": "euler", "nutrients.oxygen.diffusion": "1e8 um^2/s"},
+            r"about [1-9]\d*,\d{3},\d{3} steps of .* s in a coupling step, more than 1,000,000",
+        ),
         ({"nutrients.oxygen.solver": "multicell-steady"}, "but the field is transient"),
         (
             {"nutrients.oxygen.solver": "euler", "nutrients.oxygen.finite_medium": medium},
@@ -226,6 +292,23 @@ def test_scenes_refuse_what_no_solver_can_do():
     for changes, words in cases:
         with pytest.raises(mc.SceneError, match=words):
             few(**changes)
+
+
+def test_steps_until_a_field_rests_are_foreseen(monkeypatch):
+    counted, rest = [], outside.settle
+
+    def counting(*given):
+        found, reports = rest(*given)
+        counted.append(reports["oxygen"].newton)
+        return found, reports
+
+    monkeypatch.setattr(outside, "settle", counting)
+    changes = {"nutrients.oxygen.solver": "explicit", "nutrients.oxygen.regime": "steady"}
+    scene = few(**changes)
+    Simulation(scene, threads=1)  # from the medium everywhere
+    expected = expected_steps(scene, "oxygen")
+    assert 0.3 * expected < counted[0] < 3.0 * expected
+    assert f"about {expected:,} until it rests" in str(explain(scene))
 
 
 def test_explain_says_how_many_steps_a_solver_takes():

@@ -19,6 +19,13 @@ def secreting(**changes):
     return scene.with_changes(changes)
 
 
+@pytest.mark.sample(
+    "{}",
+    "{'nutrients.signal.diffusion': '100 um^2/s'}",
+    "{'nutrients.signal.time_tolerance': 0.01}",
+    "{'initial.stage': 'birth'}",
+    "{'coupling_step': '2 min', 'duration': '40 min'}",
+)
 @pytest.mark.parametrize(
     "changes",
     [

@@ -1,5 +1,6 @@
 """Fields of frames in py-pde's language: same values, same places, its tools work on them."""
 
+import pickle
 import subprocess
 import sys
 
@@ -46,6 +47,34 @@ def test_values_and_coordinates_are_the_same(kind):
     ours = places(field)
     np.testing.assert_allclose(found.grid.cell_coords.reshape(ours.shape), ours, rtol=1e-13)
     np.testing.assert_allclose(found.interpolate(ours), field.values.ravel(), rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", GRIDS)
+def test_a_view_is_on_the_array_itself(kind):
+    field = GRIDS[kind]
+    view, copied = field.to_pde(copy=False), field.to_pde()
+    assert np.shares_memory(view.data, field.values)
+    assert not np.shares_memory(copied.data, field.values)
+    assert view.grid is copied.grid  # made once for the same box
+    assert view == copied
+    operator = {"value": 0.3} if kind == "shells" else {"*": {"value": 0.3}}
+    found = view.laplace(operator, backend="scipy" if kind == "cubes" else "numba")
+    expected = copied.laplace(operator, backend="scipy" if kind == "cubes" else "numba")
+    np.testing.assert_array_equal(found.data, expected.data)
+    for made in (found, 2.0 * view, pickle.loads(pickle.dumps(view))):
+        assert type(made) is pde.ScalarField
+    together = pde.FieldCollection([field.to_pde(copy=False), copied])
+    assert np.shares_memory(together.data, together[0].data)
+    np.testing.assert_array_equal(together[0].data, field.to_pde().data)
+
+
+def test_views_of_read_only_values_are_read_only():
+    values = np.ones((3, 3, 3))
+    values.flags.writeable = False
+    view = Field("a", "mM", np.zeros(3), 1.0, values).to_pde(copy=False)
+    with pytest.raises(ValueError, match="read-only"):
+        view += 1.0
+    assert (view + 1.0).data.max() == 2.0
 
 
 def frame_of(**fields):

@@ -175,15 +175,16 @@ def test_the_scenes_have_all_that_is_declared(runs):
 STATES = {
     "no cells": lambda cells: cells.take(np.arange(0)),
     "two cells in contact": lambda cells: cells.take(np.arange(2)),
-    "cells out of touch": lambda cells: moved(cells, 3.0 * np.arange(len(cells))),
+    "cells out of touch": lambda cells: apart(cells, 3.0),
     "all dead": lambda cells: replace(cells, state=np.full_like(cells.state, State.NECROTIC)),
 }
 
 
-def moved(cells, diameters):
-    position = np.zeros((len(cells), 3))
-    position[:, 0] = 2.0 * cells.radius.max(initial=1.0) * diameters
-    return replace(cells, position=position)
+def apart(cells, diameters):
+    """Return cells on a lattice; on a line their field has many nodes."""
+    side = int(np.ceil(np.cbrt(len(cells))))
+    place = np.stack(np.unravel_index(np.arange(len(cells)), (side,) * 3), axis=1)
+    return replace(cells, position=2.0 * cells.radius.max(initial=1.0) * diameters * place)
 
 
 @pytest.mark.parametrize("state", STATES)

@@ -51,6 +51,7 @@ def test_many_cells_at_one_place_are_refused_with_their_rows(tmp_path):
     assert memory < 150
 
 
+@pytest.mark.sample("3.0")
 @pytest.mark.parametrize("large", [1.0, 1.5, 3.0])
 def test_a_crowd_is_refused_before_its_pairs_are_listed(large, tmp_path):
     # no two coincide, which is a hundredth of the radii

@@ -41,6 +41,7 @@ def finished(scene):
     return simulation
 
 
+@pytest.mark.sample("steady-still", "steady-growing")
 @pytest.mark.parametrize("growth", [None, {"cycle_time": "30 h"}], ids=["still", "growing"])
 @pytest.mark.parametrize("regime", ["steady", "transient"])
 def test_damage_hazards_and_survivors_are_of_second_order(regime, growth):

@@ -82,6 +82,7 @@ LAWS = {
 }
 
 
+@pytest.mark.sample("steady-linear", "steady-hill", "transient-hill")
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("kind", FIELDS)
 def test_damage_is_of_second_order(kind, law):
@@ -325,6 +326,7 @@ DYING = {
 }
 
 
+@pytest.mark.sample("at once")
 @pytest.mark.parametrize("death", DYING)
 def test_growth_is_of_second_order_where_cells_die(death):
     """The dead shrink, and leave the others what they do not take up, since their own time."""

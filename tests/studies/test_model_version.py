@@ -36,7 +36,7 @@ SCENES = {
     },
 }
 NUMBERS = {
-    9: {
+    10: {
         "growth": {"cells": 4, "volume": 1413.2421188721537, "distance": 8.122308148674017},
         "spheroid": {
             "cells": 70,
@@ -59,7 +59,7 @@ NUMBERS = {
     }
 }
 AVX512 = {
-    9: {
+    10: {
         "sorting-signal": {
             "distance": 90.71787307514776,
             "factor": 2.3729671013106746e-07,

@@ -5,6 +5,7 @@ not grow: that pressure is assumed, and sets the speed; the crossover and the li
 """
 
 import numpy as np
+import pytest
 from scipy.optimize import brentq
 from scipy.stats import truncnorm
 
@@ -37,6 +38,7 @@ def euler_lotka():
     return brentq(lambda k: 2.0 * cycle.expect(lambda x: np.exp(-k * x)) - 1.0, 0.02, 0.06)
 
 
+@pytest.mark.slow
 def test_a_monolayer_grows_linearly_once_it_is_pressed(compare):
     times, count, radius = monolayer("0.0015 kPa", 180)
     late = times >= 110

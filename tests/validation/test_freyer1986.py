@@ -16,6 +16,7 @@ def docs():
     return program("emt6_ball"), program("emt6_fit")
 
 
+@pytest.mark.slow
 def test_a_day_of_growth_is_that_along_the_radius(docs, compare):
     ball, _ = docs
     history = mc.run(mc.load_scene("emt6").with_changes({"duration": "24 h"})).history

@@ -20,6 +20,7 @@ def modules():
     return {name: program(name) for name in ("papers", "mathias2022_problems")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "expected"), [("euler", 1), ("backward-euler", 1), ("heun", 2), ("rk4", 4)]
 )

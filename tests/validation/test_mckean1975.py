@@ -7,6 +7,7 @@ Math. 31 (1978) 531) when t is large.
 """
 
 import numpy as np
+import pytest
 from families import cycle_of, founders
 from running import finished
 from scipy import stats
@@ -35,6 +36,7 @@ def foremost(x):
     return np.interp(np.asarray(x) / ACROSS, grid, u)
 
 
+@pytest.mark.slow
 def test_the_foremost_of_a_family_solves_fishers_equation(compare):
     scene = mc.Scene.from_dict({
         "duration": f"{HOURS} h", "coupling_step": "30 min", "seed": 2, "contact": {"law": "none"},

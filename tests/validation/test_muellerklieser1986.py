@@ -121,6 +121,7 @@ def test_runs_are_as_along_the_radius(docs, compare, condition):
     compare.deviation(what, "along the radius by other code", largest, 0.02)
 
 
+@pytest.mark.slow
 def test_the_eight_rims_are_those_measured(compare):
     lines = (DOCS / "data" / "emt6-rims.csv").read_text(encoding="utf-8").splitlines()
     table = [line.split(",") for line in lines if line[0].isdigit()]

@@ -22,6 +22,7 @@ def run():
     return mc.run(mc.coarsen(scene, 2.5), threads=1)
 
 
+@pytest.mark.slow
 def test_radii_of_half_fibroblasts_are_those_measured_within_a_tenth(run, compare):
     found = np.interp(
         [86400 * day for day in MEASURED], run.history["time"], run.history["diameter"] / 2

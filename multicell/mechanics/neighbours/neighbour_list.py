@@ -71,8 +71,9 @@ class NeighbourList:
     ) -> None:
         n = len(reach)
         self.reach, self.least, self.chunk, self.shared = reach, least, chunk, shared
-        self.reference = np.full((n, 3), np.nan)
-        self.margin = np.full(n, least)
+        self.reference, self.margin = np.empty((n, 3)), np.empty(n)
+        self.reference.fill(np.nan)
+        self.margin.fill(least)
         if newborn is not None and np.count_nonzero(newborn) * FEW <= n:
             self.margin[newborn] *= WIDEST
         self.pairs: PairList | None = None

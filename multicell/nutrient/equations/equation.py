@@ -22,7 +22,7 @@ from pde.pdes.base import PDEBase
 from multicell.cells import FloatArray
 from multicell.errors import SceneError
 from multicell.nutrient.balance import BALANCE_COLUMNS
-from multicell.nutrient.equations.grid import grid_on, layout_on
+from multicell.nutrient.equations.grid import grid_on, layout_on, nodes_on
 from multicell.nutrient.equations.linear import LinearCourse, is_linear
 from multicell.nutrient.equations.placed import PlacedSubstance
 from multicell.nutrient.equations.solvers import (
@@ -32,6 +32,7 @@ from multicell.nutrient.equations.solvers import (
 )
 from multicell.nutrient.equations.substance import Substance
 from multicell.nutrient.grid import Layout
+from multicell.results.pde_fields import FieldsView
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -170,6 +171,10 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
             for name, array in zip(self.substances, arrays, strict=True)
         ]
         return fields[0] if len(fields) == 1 else FieldCollection(fields, labels=[*self.substances])
+
+    def view(self, nodes: FloatArray) -> FieldsView:
+        """Return nodes of all substances, (m, ...) mM, as a state on that array."""
+        return FieldsView(self, nodes.reshape(-1, *nodes_on(self.layout)))
 
     def evolution_rate(self, state: State, t: float = 0.0) -> State:  # type: ignore[override]
         """Return ∂c/∂t of all substances at a time in s, mM/s.
@@ -372,7 +377,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         ------
         SceneError
         """
-        if getattr(state, "equation", None) is self:  # a run's state, which follows its equation
+        if getattr(state, "equation", None) is self:  # a view, which follows its equation
             return
         fields = [state] if isinstance(state, ScalarField) else list(state)
         if len(fields) != len(self.substances) or any(

@@ -14,7 +14,7 @@ from pde.grids.spherical import SphericalSymGrid
 from multicell.errors import SceneError
 from multicell.nutrient.cartesian import Box
 from multicell.nutrient.grid import BoxLayout, Layout, ShellLayout
-from multicell.results.pde_fields import box_grid
+from multicell.results.pde_fields import box_grid, shell_grid
 
 if TYPE_CHECKING:
     from pde.grids.base import GridBase
@@ -51,11 +51,17 @@ def layout_on(grid: GridBase) -> Layout:
 def grid_on(layout: Layout) -> GridBase:
     """Return py-pde's grid with the nodes of a layout, in the coordinates of the cells."""
     if isinstance(layout, ShellLayout):
-        return SphericalSymGrid(layout.spacing * layout.count, layout.count)
+        return shell_grid(layout.spacing, layout.count)
     assert isinstance(layout, BoxLayout)
     box = layout.box
     flat = box.height is not None
     return box_grid(box.origin, box.shape, box.spacing, flat=flat, repeats=box.repeats)
+
+
+def nodes_on(layout: Layout) -> tuple[int, ...]:
+    """Return the shape that py-pde's grid of a layout has, without making it."""
+    flat = isinstance(layout, BoxLayout) and layout.box.height is not None
+    return layout.shape[:2] if flat else layout.shape
 
 
 def conditions_on(layout: Layout, given: Any) -> dict[str, Any]:

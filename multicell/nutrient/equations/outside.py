@@ -27,7 +27,7 @@ from multicell.errors import NutrientFailed
 from multicell.nutrient.balance import BALANCE_COLUMNS
 from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.steady import BALANCE_TOLERANCE, SolveReport
-from multicell.scene.field_solvers import longest_step
+from multicell.scene.field_solvers import MOST_FIELD_STEPS, longest_step
 
 _FORMER: Final = {"explicit": "euler"}
 """Names that py-pde keeps of solvers that have another one now."""
@@ -37,7 +37,6 @@ _TIGHTER: Final = 0.1
 
 They bound a mean over nodes, and ``time_tolerance`` the largest error of any."""
 
-_MOST_STEPS: Final = 1_000_000  # in one coupling step, or until a field is at rest
 _PARTS: Final = 16  # of a coupling step, at whose ends somebody looks
 _BELOW: Final = 1e-6  # part of the field's scale below zero at which a solver has failed
 _FIXED_POINT: Final = 1e-6  # part of the scale to which py-pde's iterations are carried
@@ -140,12 +139,14 @@ def bring(
     *,
     tolerance: float,
     scales: FloatArray,
+    longest: float = math.inf,
     watch: Callable[[float, FloatArray], None] | None = None,
 ) -> Brought:
     """Bring fields from one time to another by a solver of py-pde's registry.
 
     - ``data``, (m, ...) mM: at ``begin`` (s)
     - ``tolerance``: of solvers that have one, over ``scales``, (m,) mM
+    - ``longest``, s: of fixed steps, where it is shorter than what the solver could take
     - ``watch``: called with time and data at the beginning, at the end and on the way
 
     Raises NutrientFailed where it needs too many steps, does not converge, or falls below zero.
@@ -160,7 +161,8 @@ def bring(
         for one, other in itertools.pairwise(ends):
             for each in equation.substances.values():
                 each.set_time(float(other), float(other - one))
-            steps += _run(problem, name, state, float(one), float(other), tolerance, scales)
+            span = float(one), float(other)
+            steps += _run(problem, name, state, span, longest, tolerance, scales)
             if watch is not None:
                 watch(float(other), problem.taken(state)[0])
     found, amounts = problem.taken(state)
@@ -186,7 +188,7 @@ def settle(
         reports, resting = _reports(equation, data, time, steps)
         if resting:
             return data, reports
-        if steps > _MOST_STEPS:
+        if steps > MOST_FIELD_STEPS:
             break
         end = time + span
         found = bring(equation, name, data, time, end, tolerance=_RESTING, scales=scales)
@@ -217,19 +219,19 @@ def _run(
     problem: AccountedEquation,
     name: str,
     state: Any,
-    begin: float,
-    end: float,
+    span: tuple[float, float],
+    longest: float,
     tolerance: float,
     scales: FloatArray,
 ) -> int:
-    """Bring a state to ``end`` in place; return the steps that it took."""
+    """Bring a state through a span in place; return the steps that it took."""
     from pde.solvers.base import ConvergenceError
 
-    fields, _ = problem.taken(state)
-    longest = longest_step(name, problem.equation.fastest(fields))
+    fields, (begin, end) = problem.taken(state)[0], span
+    longest = min(longest, longest_step(name, problem.equation.fastest(fields)))
     number = max(1, math.ceil((end - begin) / longest)) if math.isfinite(longest) else 1
     who = " and ".join(problem.equation.names)
-    if number > _MOST_STEPS:
+    if number > MOST_FIELD_STEPS:
         raise NutrientFailed(
             f"{who} would need {number:,} steps of {name}, each of {longest:.3g} s at most",
             "Let the solver of the field be 'auto', or shorten the coupling step",

@@ -15,7 +15,7 @@ from multicell.nutrient.equations.substance import Conditions, Schedule, Substan
 from multicell.nutrient.grid import BoxLayout, Layout
 from multicell.nutrient.operators import AnyOperator, source_imbalance
 from multicell.nutrient.spherical import Shells
-from multicell.nutrient.steady import SolveReport
+from multicell.nutrient.steady import BALANCE_TOLERANCE, SolveReport
 from multicell.nutrient.uptake import uptake_and_slope
 
 _Spread = tuple[FloatArray, FloatArray, float]
@@ -34,7 +34,10 @@ class PlacedSubstance:
     - ``sink``, ``secreted``, mM/s: largest uptake per volume at each node, and what cells add;
       nodes as solvers have them, with three axes in a box and one on shells
     - ``operator``: diffusion, with the sides of the concentration that was asked for last
+    - ``tolerance``: of what is at rest in a box, see :func:`.steady.solve_steady`
     """
+
+    tolerance = BALANCE_TOLERANCE
 
     def __init__(
         self,
@@ -151,6 +154,9 @@ class PlacedSubstance:
         if isinstance(layout, BoxLayout):
             operator = Diffusion(layout.box, p.diffusion, conditions, varied=varied)
             operator.threads = self._threads
+            before = getattr(self, "operator", None)
+            if isinstance(before, Diffusion):
+                operator.take_over(before)
         else:
             operator = Shells(layout.radius, layout.count, p.diffusion, conditions, varied=varied)
         # at once: what is interrupted must not leave one beside the others
@@ -235,8 +241,10 @@ class PlacedSubstance:
         supply, linear = self.supply(level), self.linear
         if before is not None:
             supply, linear = before / dt + supply, linear + 1.0 / dt
-        half = self.substance.half_saturation
-        return self.at(level).solve(self.sink, half, start, linear=linear, supply=supply)
+        operator, given = self.at(level), (self.sink, self.substance.half_saturation, start)
+        if before is None and isinstance(operator, Diffusion):
+            return operator.solve(*given, linear=linear, supply=supply, tolerance=self.tolerance)
+        return operator.solve(*given, linear=linear, supply=supply)
 
     def flows(self, c: FloatArray, level: float, made: FloatArray | None = None) -> SolveReport:
         """Return the exchange of a state (mM) with sides, cells, reactions (``made``, mM/s)."""

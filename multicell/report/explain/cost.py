@@ -20,7 +20,7 @@ from multicell.nutrient.parameters import FieldParameters
 from multicell.report.explain.course import Course, expected_course
 from multicell.report.explain.items import Number, hours
 from multicell.scene import domain as box
-from multicell.scene.field_solvers import expected_step
+from multicell.scene.field_solvers import expected_steps
 from multicell.scene.nutrient import OWN_SOLVERS
 from multicell.scene.pairs import explicit_limit
 from multicell.scene.reactions import group_of
@@ -173,9 +173,9 @@ def _fields(scene: Scene, found: Course, steps: float, frames: float) -> tuple[f
 
 def _field_seconds(scene: Scene, name: str, found: Course, steps: float, nodes: float) -> float:
     if scene.nutrients[name].solver not in OWN_SOLVERS:
-        longest = expected_step(scene, name)
-        if math.isfinite(longest):
-            return steps * (_FIELD + scene.coupling_step / longest * _rate_seconds(nodes))
+        number = expected_steps(scene, name)
+        if number:
+            return steps * (_FIELD + number * _rate_seconds(nodes))
     if regime(scene, name) == "steady":
         return steps * (_FIELD + _NODE_STEP * nodes)
     nutrient = scene.nutrients[name]

@@ -12,7 +12,7 @@ from multicell.report.explain.items import ExplainedPart, Number, hours, part
 from multicell.scene import domain as box
 from multicell.scene import scales
 from multicell.scene.dependences import solving_order
-from multicell.scene.field_solvers import expected_step
+from multicell.scene.field_solvers import expected_step, expected_steps
 from multicell.scene.nutrient import OWN_SOLVERS, Nutrient
 from multicell.scene.reactions import Reaction, group_of
 from multicell.scene.responses import relevant_fields, type_thresholds
@@ -85,11 +85,11 @@ def _solver(scene: Scene, name: str) -> str:
     solver, longest = scene.nutrients[name].solver, expected_step(scene, name)
     if not math.isfinite(longest):
         return f"solved by {solver}, which chooses its steps"
-    number = math.ceil(scene.coupling_step / longest)
-    most = (
-        f"solved by {solver} in steps of {longest:.2g} s, the most that diffusion and uptake allow"
-    )
-    return f"{most}: {number:,} a coupling step"
+    number = f"{expected_steps(scene, name):,}"
+    steady = scales.regime(scene, name) == "steady"
+    many = f"about {number} until it rests" if steady else f"{number} a coupling step"
+    most = f"steps of {longest:.2g} s, the most that diffusion and uptake allow"
+    return f"solved by {solver} in {most}: {many}"
 
 
 def _regime_reason(scene: Scene, name: str) -> str:
