@@ -11,9 +11,10 @@ number of cells (:mod:`multicell.integrators.costs`); the cheapest of these meth
   in quiet tissue.
 
 Where the order of magnitude of λ, which is known without any evaluation, leaves no doubt, nothing
-is measured. Otherwise one evaluation gives the motion, and six products λ, unless an earlier one
-of this run is good enough. What coupling steps count corrects the model, and now and then the
-second choice is tried, as its extra cost is a fiftieth of what was spent since.
+is measured. Otherwise one evaluation gives the motion, and six products λ, unless its order of
+magnitude or an earlier one of this run is good enough for the choice. What coupling steps count
+corrects the model, and now and then the second choice is tried, as its extra cost is a fiftieth of
+what was spent since.
 
 A method that cannot continue, or finds a mild step to be none, leaves the coupling step to the next
 one, from its beginning. Only methods that can hold the scene, by their own ``info``, are chosen
@@ -54,9 +55,8 @@ _PASSES, _CALLS = 8.0, 2.0e3
 """Evaluations, and evaluations times cells by calls of Python, that it costs to measure λ."""
 _LEAST, _MOST = 0.3, 3.0
 """λ over its order of magnitude: of tissue in which it was not measured."""
-_NEAR, _OLD = 1.4, 16
-"""Factor by which λ may differ from the last measured one, and coupling steps for which it is
-taken for that."""
+_NEAR, _OLD = 1.4, 16.0
+"""Factor by which λ may differ from the last measured one, once more in so many coupling steps."""
 _FURTHEST = 1.0  # motion of mildly stiff tissue over λΔt, µm: of cells that were placed anew
 _QUIET, _SHAKEN = 1e-3, 0.3
 """The way that fast modes carry the fastest cell, its speed over λ in tolerances: up to which there
@@ -126,17 +126,18 @@ class Auto(ErrorControl):
             choice = Choice(math.nan, _first(name, candidates(system)), known.finer)
         else:
             choice = self.choose(system, position)
-        spent = 0.0
+        patience = 0 if again else self._patience(choice, len(system))
+        # without λ it says little that a step was dearer than expected
+        taught, spent = choice.step if choice.ratio or known.ratio else None, 0.0
         for name in choice.order:
             before, taken, rubbing = work.effort, work.steps, work.friction_iterations
-            method = self.method(name, choice.finer, self._patience(choice, len(system)))
-            outcome = method.integrate(system, position)
+            outcome = self.method(name, choice.finer, patience).integrate(system, position)
             _count(system, name, taken)
             passes = float(work.effort - before - (work.friction_iterations - rubbing))
-            if choice.step is not None:
-                expected = choice.step.work(name, choice.finer_for(name))
+            if taught is not None:
+                expected = taught.work(name, choice.finer_for(name))
                 known = known.counted(_NUMBER[name], passes, expected)
-                spent += passes * choice.step.unit(name)
+                spent += passes * taught.unit(name)
             if outcome.done:
                 break
         if not again:
@@ -158,46 +159,36 @@ class Auto(ErrorControl):
 
         Nothing is measured where the order of magnitude of λ leaves no doubt.
         """
-        from multicell.integrators.limits import stiffness_scale
-
+        known, able = Learnt(*system.learnt), tuple(candidates(system))
         length = system.motion.end - system.motion.begin
-        known, scale = Learnt(*system.learnt), stiffness_scale(system) * length
-        if _is_scaled(system) and scale > 0.0:
-            low, high = _LEAST, _MOST
-            if known.ratio:
-                near = _NEAR if known.age < _OLD else _NEAR**2
-                low, high = known.ratio / near, known.ratio * near
+        low, high = (rate * length for rate in _between(system, known))
+        if low > 0.0:
             tolerance = _tolerance(system, self.rtol, self.atol)
-            able = tuple(candidates(system))
             name = _glanced(
                 able,
-                *(round(4.0 * math.log2(x)) for x in (low * scale, high * scale, tolerance)),
+                *(round(4.0 * math.log2(x)) for x in (low, high, tolerance)),
                 len(system).bit_length(),
                 _in_python(system),
                 tuple(round(4.0 * x) for x in known.excess),
             )
             if name:
-                return Choice(scale, _first(name, able))
+                return Choice(math.sqrt(low * high), _first(name, able))
         return self.by_motion(system, position)
 
     def by_motion(self, system: Mechanics, position: FloatArray) -> Choice:
         """Return the method that is cheapest for the motion at the beginning of the step.
 
-        λ is measured where the last measured one is old, or leaves a doubt.
+        λ is measured where what is known of it leaves a doubt.
         """
         from multicell.integrators.limits import stiffness_scale
 
-        known, able = Learnt(*system.learnt), candidates(system)
+        known, able, n = Learnt(*system.learnt), candidates(system), len(system)
         length = system.motion.end - system.motion.begin
-        tolerance = _tolerance(system, self.rtol, self.atol)
+        tolerance, python = _tolerance(system, self.rtol, self.atol), _in_python(system)
         speed, fastest = _speeds(system, position)
-        scale, ratio = stiffness_scale(system), 0.0
-        fresh = known.age < _OLD and _is_scaled(system)
-        rate = known.ratio * scale if fresh else 0.0
 
         def step_at(rate: float) -> CouplingStep:
-            python = _in_python(system)
-            return CouplingStep(rate * length, speed * length, tolerance, len(system), python)
+            return CouplingStep(rate * length, speed * length, tolerance, n, python)
 
         def finer_at(rate: float) -> float:
             return float(_AS_EXACT ** _shaken(fastest, rate, tolerance))
@@ -206,9 +197,10 @@ class Auto(ErrorControl):
             pressed = _PRESSED if system.compression is not None else 1.0
             return _costs(able, step_at(rate), finer_at(rate), known.excess, pressed)
 
-        doubt = [costs(rate * factor) for factor in (1.0 / _NEAR, _NEAR)]
-        if not rate or not _surely_best(doubt, len(system)):
-            rate = measured_rate(system, position)
+        low, high = _between(system, known)
+        rate, ratio = math.sqrt(low * high), 0.0
+        if not low or not _surely_best([costs(low), costs(high)], n):
+            rate, scale = measured_rate(system, position), stiffness_scale(system)
             ratio = rate / scale if scale > 0.0 else 0.0
         found = costs(rate)
         name, *others = sorted(able, key=found.__getitem__)
@@ -329,10 +321,20 @@ def _tolerance(system: Mechanics, rtol: float, atol: float) -> float:
     return atol + rtol * (system.motion.mean_radius if len(system) else 1.0)
 
 
-def _is_scaled(system: Mechanics) -> bool:
-    """Return whether λ follows its order of magnitude: not in gels, nor against compression."""
+def _between(system: Mechanics, known: Learnt) -> tuple[float, float]:
+    """Return bounds of λ, 1/s; zeros where only a measurement gives them.
+
+    In gels and against compression λ does not follow its order of magnitude.
+    """
+    from multicell.integrators.limits import stiffness_scale
+
     gel = system.walls is not None and system.walls.shear is not None
-    return system.compression is None and not gel
+    scale = 0.0 if gel or system.compression is not None else stiffness_scale(system)
+    if not known.ratio:
+        return _LEAST * scale, _MOST * scale
+    near = _NEAR ** (1.0 + known.age / _OLD)
+    low = max(known.ratio / near, min(known.ratio, _LEAST))
+    return low * scale, min(known.ratio * near, max(known.ratio, _MOST)) * scale
 
 
 def _in_python(system: Mechanics) -> bool:

@@ -103,13 +103,14 @@ def spectrum_ends(
     most = min(GLANCED, size)
     basis, inner = np.empty((most, size)), np.zeros((most, most))
     vector = np.random.default_rng(0).normal(size=size)
-    left, used = float(np.sqrt(vector @ vector)), 0
+    left, used = float(np.sqrt((vector * vector).sum())), 0
     for k in range(most):
         basis[k] = vector / left
         vector, used = product(basis[k]), k + 1
-        inner[k, :used] = basis[:used] @ vector
-        vector -= inner[k, :used] @ basis[:used]
-        left = float(np.sqrt(vector @ vector))
+        # sums by NumPy: those of a linear algebra library depend on its threads
+        inner[k, :used] = (basis[:used] * vector).sum(axis=1)
+        vector -= (inner[k, :used, None] * basis[:used]).sum(axis=0)
+        left = float(np.sqrt((vector * vector).sum()))
         if left <= _ROUNDING * float(np.abs(inner).max()):
             break
     # the lower triangle is read

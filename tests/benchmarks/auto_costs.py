@@ -14,6 +14,7 @@ Cost      printed; half an hour of CPU in one thread, --unseen ten minutes
 Command   python tests/benchmarks/auto_costs.py --results FOLDER [--unseen] [--scenes NAME ...]
           python tests/benchmarks/auto_costs.py --results FOLDER --fit    writes costs.toml
           python tests/benchmarks/auto_costs.py --results FOLDER --unseen --table    the table
+          … --beside FILE    and the class Auto of another multicell/integrators/auto.py
 
 What is in FOLDER is not solved again.
 """
@@ -21,6 +22,7 @@ What is in FOLDER is not solved again.
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import math
 import sys
@@ -54,13 +56,26 @@ GOALS = (0.01, 0.001)
 TOLERANCES = tuple(10.0 ** (-0.5 * k) for k in range(9))  # µm
 SAMPLED, WINDOW, CONSECUTIVE = 4, 40, 10
 """Steps of a scene that is fitted to, out of how many, and of an unseen one."""
-DEAR, LEAST = 12.0, 1.0
+DEAR, LEAST = (12.0, 4.0), (1.0, 0.2)
 """Cost of a solve over the least that reached the finest goal at which a method is given up, and
-s of CPU time that any solve may take."""
+s of CPU time that any solve may take: of scenes that are fitted to, and of unseen ones."""
 TIMES = 5  # how often the solves of which CPU times are compared are timed
 SURE = 0.5  # difference of the references over a goal above which a step does not count
 
+OWN, BESIDE = "auto", "auto, beside"
+
 Row = dict[str, Any]
+
+
+def beside(path: Path) -> Any:
+    """Return the class Auto of a file."""
+    spec = importlib.util.spec_from_file_location("auto_beside", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module.Auto
 
 
 def steps_of(scene: mc.Scene, unseen: bool) -> list[tuple[int, ReplayProblem]]:
@@ -120,10 +135,9 @@ def solve(system: Any, method: Any, start: Any) -> tuple[Row, Any]:
 
 
 def taken_by(system: Any, name: str) -> str:
-    """Return the method that a step was left to."""
-    return (
-        tuple(auto.CANDIDATES)[int(costs.Learnt(*system.learnt).taken)] if name == "auto" else name
-    )
+    """Return the method that took most steps."""
+    counts = {n: vars(system.work).get(counter, 0) for n, counter in auto.COUNTERS.items()}
+    return max(counts, key=counts.__getitem__) if name in (OWN, BESIDE) else name
 
 
 def unit(name: str, about: Row) -> float:
@@ -133,7 +147,7 @@ def unit(name: str, about: Row) -> float:
     return step.unit(name if name in auto.CANDIDATES else like)
 
 
-def raced(name: str, scene: mc.Scene, unseen: bool) -> list[Row]:
+def raced(name: str, scene: mc.Scene, unseen: bool, other: Any = None) -> list[Row]:
     """Return a row of each step of a scene, with all solves."""
     rows, taught = [], {}
     for k, problem in steps_of(scene, unseen):
@@ -142,7 +156,9 @@ def raced(name: str, scene: mc.Scene, unseen: bool) -> list[Row]:
         scale = MotionScale.of(problem.start, held["end"], problem.mean_radius)
         names = [n for n in registered() if n in capable_methods(problem.scene)]
         if not unseen:
-            names = [n for n in names if n in (*auto.CANDIDATES, "auto")]
+            names = [n for n in names if n in (*auto.CANDIDATES, OWN)]
+        if other is not None:
+            names.append(BESIDE)
         solves: list[Row] = []
         again: dict[int, Any] = {}
         over, least = set(), math.inf
@@ -150,15 +166,17 @@ def raced(name: str, scene: mc.Scene, unseen: bool) -> list[Row]:
             for method in names:
                 if method in over:
                     continue
-                made = find_method(method, problem.scene, problem.mean_radius).make(
+                known_as = OWN if method == BESIDE else method
+                made = find_method(known_as, problem.scene, problem.mean_radius).make(
                     atol / problem.mean_radius
                 )
+                made = other(**vars(made)) if method == BESIDE else made
                 system = problem.system()
-                system.learnt = known = taught.get(atol, ()) if method == "auto" else ()
+                system.learnt = known = taught.get((method, atol), ())
                 system.begin(motion)
                 row, end = solve(system, made, problem.start)
-                if method == "auto":
-                    taught[atol] = system.learnt
+                if method in (OWN, BESIDE):
+                    taught[method, atol] = system.learnt
                 errors = scale.errors(end, held["end"]) if not row["failed"] else (math.inf,) * 2
                 taken = taken_by(system, method)
                 row |= {
@@ -174,8 +192,9 @@ def raced(name: str, scene: mc.Scene, unseen: bool) -> list[Row]:
                 if errors[0] <= GOALS[-1]:
                     least = min(least, row["cpu"])
                 # `auto` learns at every tolerance
-                if method != "auto" and (
-                    errors[0] <= 0.3 * GOALS[-1] or row["cpu"] > max(LEAST, DEAR * least)
+                most = max(LEAST[unseen], DEAR[unseen] * least)
+                if method not in (OWN, BESIDE) and (
+                    errors[0] <= 0.3 * GOALS[-1] or row["cpu"] > most
                 ):
                     over.add(method)
         _time_again(problem, solves, again)
@@ -197,9 +216,13 @@ def _time_again(problem: ReplayProblem, solves: list[Row], again: dict[int, Any]
     chosen: set[int] = set()
     for goal in GOALS:
         able = [k for k, row in enumerate(solves) if row["error"] <= goal]
-        for own in (True, False):
-            side = [k for k in able if (solves[k]["method"] == "auto") == own]
-            chosen |= set(sorted(side, key=lambda k: solves[k]["cpu"])[: 1 + 2 * (not own)])
+        for own in (OWN, BESIDE, ""):
+            side = [
+                k
+                for k in able
+                if (solves[k]["method"] if solves[k]["method"] in (OWN, BESIDE) else "") == own
+            ]
+            chosen |= set(sorted(side, key=lambda k: solves[k]["cpu"])[: 1 if own else 3])
             chosen |= set(sorted(side, key=lambda k: solves[k]["counted"])[:1])
     for _ in range(TIMES):
         for k in chosen:
@@ -212,14 +235,14 @@ def _time_again(problem: ReplayProblem, solves: list[Row], again: dict[int, Any]
                 solves[k]["cpu"] = min(solves[k]["cpu"], row["cpu"])
 
 
-def ratios(rows: list[Row], goal: float, cost: str) -> list[float]:
+def ratios(rows: list[Row], goal: float, cost: str, name: str = OWN) -> list[float]:
     """Return `auto` / best of each step in which that can be said."""
     found = []
     for row in rows:
         able = [s for s in row["solves"] if s["error"] <= goal]
-        best = min((s[cost] for s in able if s["method"] != "auto"), default=0.0)
+        best = min((s[cost] for s in able if s["method"] not in (OWN, BESIDE)), default=0.0)
         if best > 0.0 and row["uncertainty"] <= SURE * goal:
-            own = min((s[cost] for s in able if s["method"] == "auto"), default=math.inf)
+            own = min((s[cost] for s in able if s["method"] == name), default=math.inf)
             found.append(own / best)
     return found
 
@@ -237,7 +260,7 @@ def table(rows: list[Row]) -> str:
         for row in here:
             # at the default tolerance of `auto`
             for s in row["solves"]:
-                if s["method"] == "auto" and math.isclose(s["atol"], 0.1):
+                if s["method"] == OWN and math.isclose(s["atol"], 0.1):
                     took[s["taken"]] = took.get(s["taken"], 0) + 1
         words = [
             f"{median(r):.2f}, {max(r):.2f}" if (r := ratios(here, goal, cost)) else "–"
@@ -249,15 +272,22 @@ def table(rows: list[Row]) -> str:
             f"| {scene} | {_span(here, 'cells')} | {_span(here, 'lambda_dt')} "
             f"| {' | '.join(words)} | {names} |"
         )
-    for cost in ("counted", "cpu"):
-        every = [x for goal in GOALS for x in ratios(rows, goal, cost)]
-        if every:
-            lines.append(
-                f"{cost}: {len(every)} ratios, median {median(every):.2f}, 90 % below "
-                f"{np.quantile(every, 0.9):.2f}, worst {max(every):.2f}, within 1.3: "
-                f"{100 * np.mean(np.array(every) <= 1.3):.0f} %"
-            )
-    return "\n".join(lines)
+    for name in (OWN, BESIDE):
+        lines += [_summary(rows, name, cost) for cost in ("counted", "cpu")]
+    return "\n".join(filter(None, lines))
+
+
+def _summary(rows: list[Row], name: str, cost: str) -> str:
+    rows = [row for row in rows if any(s["method"] == name for s in row["solves"])]
+    every = [x for goal in GOALS for x in ratios(rows, goal, cost, name)]
+    if not every:
+        return ""
+    within = [100 * np.mean(np.array(every) <= most) for most in (1.3, 2.0)]
+    return (
+        f"{name}, {cost}: {len(every)} ratios, median {median(every):.2f}, 90 % below "
+        f"{np.quantile(every, 0.9, method='higher'):.2f}, worst {max(every):.2f}, within 1.3: "
+        f"{within[0]:.0f} %, within 2: {within[1]:.0f} %"
+    )
 
 
 def _span(rows: list[Row], name: str) -> str:
@@ -275,6 +305,7 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+")
     parser.add_argument("--fit", action="store_true")
     parser.add_argument("--table", action="store_true")
+    parser.add_argument("--beside", type=Path)
     given = parser.parse_args()
     path = given.results / ("unseen.jsonl" if given.unseen else "tuned.jsonl")
     rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
@@ -283,6 +314,7 @@ def main() -> None:
         return
     given.results.mkdir(parents=True, exist_ok=True)
     scenes = UNSEEN if given.unseen else TUNED
+    other = beside(given.beside) if given.beside else None
     begin, done = time.process_time(), {row["scene"] for row in rows}
     for name in () if given.table else given.scenes or scenes:
         if name in done:
@@ -290,7 +322,7 @@ def main() -> None:
         base, changes = scenes[name]
         start = time.process_time()
         try:
-            found = raced(name, mc.load_scene(base).with_changes(changes), given.unseen)
+            found = raced(name, mc.load_scene(base).with_changes(changes), given.unseen, other)
         except SceneError as error:
             raise SystemExit(f"{name}: {error}") from error
         with path.open("a", encoding="utf-8") as file:
