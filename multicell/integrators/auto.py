@@ -30,7 +30,7 @@ import math
 from collections.abc import Collection
 from dataclasses import dataclass, field, make_dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, ClassVar, final
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, final
 
 import numpy as np
 
@@ -159,20 +159,14 @@ class Auto(ErrorControl):
 
         Nothing is measured where the order of magnitude of λ leaves no doubt.
         """
-        known, able = Learnt(*system.learnt), tuple(candidates(system))
-        length = system.motion.end - system.motion.begin
-        low, high = (rate * length for rate in _between(system, known))
+        known = Learnt(*system.learnt)
+        low, high = _between(system, known)
         if low > 0.0:
-            tolerance = _tolerance(system, self.rtol, self.atol)
-            name = _glanced(
-                able,
-                *(round(4.0 * math.log2(x)) for x in (low, high, tolerance)),
-                len(system).bit_length(),
-                _in_python(system),
-                tuple(round(4.0 * x) for x in known.excess),
-            )
+            length = system.motion.end - system.motion.begin
+            seen = _seen(system, known, _tolerance(system, self.rtol, self.atol))
+            name = _sure(seen, _rounded(low * length), _rounded(high * length))
             if name:
-                return Choice(math.sqrt(low * high), _first(name, able))
+                return Choice(math.sqrt(low * high) * length, _first(name, seen.able))
         return self.by_motion(system, position)
 
     def by_motion(self, system: Mechanics, position: FloatArray) -> Choice:
@@ -182,35 +176,25 @@ class Auto(ErrorControl):
         """
         from multicell.integrators.limits import stiffness_scale
 
-        known, able, n = Learnt(*system.learnt), candidates(system), len(system)
-        length = system.motion.end - system.motion.begin
-        tolerance, python = _tolerance(system, self.rtol, self.atol), _in_python(system)
-        speed, fastest = _speeds(system, position)
-
-        def step_at(rate: float) -> CouplingStep:
-            return CouplingStep(rate * length, speed * length, tolerance, n, python)
-
-        def finer_at(rate: float) -> float:
-            return float(_AS_EXACT ** _shaken(fastest, rate, tolerance))
-
-        def costs(rate: float) -> dict[str, float]:
-            pressed = _PRESSED if system.compression is not None else 1.0
-            return _costs(able, step_at(rate), finer_at(rate), known.excess, pressed)
-
-        low, high = _between(system, known)
-        rate, ratio = math.sqrt(low * high), 0.0
-        if not low or not _surely_best([costs(low), costs(high)], n):
+        known, tolerance = Learnt(*system.learnt), _tolerance(system, self.rtol, self.atol)
+        seen, length = _seen(system, known, tolerance), system.motion.end - system.motion.begin
+        motion, furthest = (speed * length for speed in _speeds(system, position))
+        low, high = (rate * length for rate in _between(system, known))
+        z, ratio, name = math.sqrt(low * high), 0.0, ""
+        if low > 0.0:
+            name = _sure(seen, *map(_rounded, (low, high, motion, furthest)))
+        if not name:
             rate, scale = measured_rate(system, position), stiffness_scale(system)
-            ratio = rate / scale if scale > 0.0 else 0.0
-        found = costs(rate)
-        name, *others = sorted(able, key=found.__getitem__)
-        trial = False
-        if others and known.steps >= _RARELY:
-            trial = found[others[0]] - found[name] <= _TRIALS * known.saved
-            name = others[0] if trial else name
-        return Choice(
-            rate * length, _first(name, able), finer_at(rate), step_at(rate), ratio, trial
-        )
+            z, ratio = rate * length, rate / scale if scale > 0.0 else 0.0
+        step = CouplingStep(z, motion, tolerance, len(system), seen.python)
+        finer, trial = _finer(furthest, z, tolerance), False
+        if not name or known.steps >= _RARELY:
+            found = _costs(seen, step, finer, known.excess)
+            name, *others = sorted(seen.able, key=found.__getitem__)
+            if others and known.steps >= _RARELY:
+                trial = found[others[0]] - found[name] <= _TRIALS * known.saved
+                name = others[0] if trial else name
+        return Choice(z, _first(name, seen.able), finer, step, ratio, trial)
 
     def method(self, name: str, finer: float = 1.0, patience: int = PATIENCE) -> Integrator:
         """Return a candidate with these options; an implicit one with finer tolerances."""
@@ -255,54 +239,72 @@ def candidates(system: Mechanics) -> list[str]:
     ]
 
 
+@final
+class _Seen(NamedTuple):
+    """What is known of a coupling step at a glance; logarithms are as of :func:`_rounded`.
+
+    - ``able``: names of the methods that can hold it
+    - ``tolerance``, ``cells``: logarithms
+    - ``python``: whether evaluations go through Python
+    - ``pressed``: whether the tissue resists compression
+    - ``excess``: four times log(counted / expected) of each method
+    """
+
+    able: tuple[str, ...]
+    tolerance: int
+    cells: int
+    python: bool
+    pressed: bool
+    excess: tuple[int, ...]
+
+
+def _seen(system: Mechanics, known: Learnt, tolerance: float) -> _Seen:
+    from multicell.integrators.driver import needs_python
+
+    excess = tuple(round(4.0 * x) for x in known.excess)
+    n, python, pressed = len(system), needs_python(system), system.compression is not None
+    able = tuple(candidates(system))
+    return _Seen(able, _rounded(tolerance), _rounded(n), python, pressed, excess)
+
+
+def _rounded(value: float) -> int:
+    """Return four times the logarithm of base 2: what costs are looked up by."""
+    return round(4.0 * math.log2(max(value, 1e-9)))
+
+
 def _costs(
-    able: Collection[str],
-    step: CouplingStep,
-    finer: float,
-    excess: tuple[float, ...],
-    pressed: float = 1.0,
+    seen: _Seen, step: CouplingStep, finer: float, excess: Collection[float]
 ) -> dict[str, float]:
     """Return the expected cost of each method, in evaluations of all cells."""
     costs = {}
-    for name in able:
-        kind = CANDIDATES[name]
-        work = step.work(name, finer if kind.info.implicit else 1.0)
-        work *= pressed if kind is Rosenbrock else 1.0
-        costs[name] = work * step.unit(name) * math.exp(excess[_NUMBER[name]])
+    for name, number in _NUMBER.items():
+        if name in seen.able:
+            kind = CANDIDATES[name]
+            work = step.work(name, finer if kind.info.implicit else 1.0)
+            work *= _PRESSED if seen.pressed and kind is Rosenbrock else 1.0
+            costs[name] = work * step.unit(name) * math.exp(tuple(excess)[number])
     return costs
 
 
-def _surely_best(cases: list[dict[str, float]], cells: int) -> str:
-    """Return the method that is cheapest in all cases but for what it costs to measure λ."""
+@lru_cache(maxsize=4096)
+def _sure(
+    seen: _Seen, low: int, high: int, motion: int | None = None, furthest: int | None = None
+) -> str:
+    """Return the method that is cheapest but for the cost of a closer look, or nothing.
+
+    - ``low``, ``high``: what λΔt is between, as logarithms of :func:`_rounded`
+    - ``motion``, ``furthest``, µm: root mean square and largest motion; None for any
+    """
+    excess, cases = [0.25 * x for x in seen.excess], []
+    tolerance, n = 2.0 ** (0.25 * seen.tolerance), max(round(2.0 ** (0.25 * seen.cells)), 1)
+    for z in (2.0 ** (0.25 * low), 2.0 ** (0.25 * high)):
+        far = 1.0 if furthest is None else _finer(2.0 ** (0.25 * furthest), z, tolerance)
+        for way in (0.0, _FURTHEST * z) if motion is None else (2.0 ** (0.25 * motion),):
+            step = CouplingStep(z, way, tolerance, n, seen.python)
+            cases.append(_costs(seen, step, far, excess))
     regret = {name: max(costs[name] - min(costs.values()) for costs in cases) for name in cases[0]}
     best = min(regret, key=regret.__getitem__)
-    return best if regret[best] <= _PASSES + _CALLS / cells else ""
-
-
-@lru_cache(maxsize=1024)
-def _glanced(
-    able: tuple[str, ...],
-    low: int,
-    high: int,
-    tolerance: int,
-    bits: int,
-    python: bool,
-    excess: tuple[int, ...],
-) -> str:
-    """Return the method that is cheapest whatever the motion, or nothing if that decides.
-
-    - ``low``, ``high``: what λΔt is between; these and ``tolerance``, µm, as four times the
-      logarithms of base 2
-    - ``bits``: in the number of cells
-    - ``excess``: four times log(counted / expected) of each method
-    """
-    atol, n = 2.0 ** (0.25 * tolerance), 3 << bits >> 2
-    corrections, cases = tuple(0.25 * x for x in excess), []
-    for z in (2.0 ** (0.25 * low), 2.0 ** (0.25 * high)):
-        for motion in (0.0, _FURTHEST * z):
-            step = CouplingStep(z, motion, atol, n, python)
-            cases.append(_costs(able, step, 1.0, corrections))
-    return _surely_best(cases, n)
+    return best if regret[best] <= _PASSES + _CALLS / n else ""
 
 
 def _first(name: str, able: Collection[str]) -> tuple[str, ...]:
@@ -337,18 +339,16 @@ def _between(system: Mechanics, known: Learnt) -> tuple[float, float]:
     return low * scale, min(known.ratio * near, max(known.ratio, _MOST)) * scale
 
 
-def _in_python(system: Mechanics) -> bool:
-    from multicell.integrators.driver import needs_python
+def _finer(furthest: float, stiffness: float, tolerance: float) -> float:
+    """Return the part of the tolerance that an implicit method is given.
 
-    return needs_python(system)
+    The whole where there are no fast modes to follow, down to a tenth where there are.
 
-
-def _shaken(fastest: float, rate: float, tolerance: float) -> float:
-    """Return 0 where there are no fast modes to follow, up to 1 where there are."""
-    if not rate:
-        return 1.0
-    fast = max(fastest / rate / tolerance, _QUIET)
-    return min(math.log(fast / _QUIET) / math.log(_SHAKEN / _QUIET), 1.0)
+    - ``furthest``, µm: speed of the fastest cell times the length of the step
+    """
+    fast = max(furthest / stiffness / tolerance, _QUIET) if stiffness else _SHAKEN
+    shaken = min(math.log(fast / _QUIET) / math.log(_SHAKEN / _QUIET), 1.0)
+    return float(_AS_EXACT**shaken)
 
 
 def _speeds(system: Mechanics, position: FloatArray) -> tuple[float, float]:

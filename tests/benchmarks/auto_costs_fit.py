@@ -174,7 +174,7 @@ def _samples(rows: list[Row], units: dict[str, dict[str, float]]) -> list[Sample
         for atol in sorted({s["atol"] for s in row["solves"] if s["atol"] <= LOOSEST}):
             sample = Sample((row["scene"], row["step"], atol), {}, {}, {})
             rate = max(row["stiffness"], 1e-9)
-            finer = auto._AS_EXACT ** auto._shaken(row["fastest"], rate, atol)
+            finer = auto._finer(row["fastest"], rate, atol)
             for method, kind in KINDS.items():
                 wanted = atol * finer if kind == "implicit" else atol
                 # the ladder has two rungs a decade

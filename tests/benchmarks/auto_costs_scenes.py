@@ -109,10 +109,6 @@ TUNED = _tuned()
 """What the model of costs is fitted to."""
 
 UNSEEN: Changes = {
-    "120 growing in honey": (
-        "grow-2000",
-        {"initial.count": 120, "drag.viscosity": 12.0, "growth.cycle_time": "9 h"},
-    ),
     "500 growing at 0.15": (
         "grow-2000",
         {"initial.count": 500, "drag.viscosity": 0.15, "initial.spacing": 0.95},
@@ -127,16 +123,6 @@ UNSEEN: Changes = {
             "duration": "3 h",
         },
     ),
-    "runners": (
-        "settle",
-        {
-            "initial.count": 150,
-            "motility": {"force": "0.5 nN", "persistence": "20 min"},
-            "drag.viscosity": 0.8,
-            "coupling_step": "10 min",
-            "duration": "2 h",
-        },
-    ),
     "slab between walls": (
         "growth",
         {
@@ -146,45 +132,9 @@ UNSEEN: Changes = {
             "domain": {
                 "x": ["-60 um", "60 um"],
                 "y": ["-60 um", "60 um"],
-                "z": ["-14 um", "14 um"],
+                "z": ["-25 um", "25 um"],
             },
             "duration": "4 h",
-        },
-    ),
-    "plane of springs": (
-        "grow-2000",
-        {
-            "initial.count": 200,
-            "dimensions": 2,
-            "initial.jitter": 0.0,
-            "contact": {"law": "cubic"},
-            "drag.viscosity": 0.4,
-        },
-    ),
-    "exact JKR at 0.1": (
-        "grow-2000",
-        {
-            "initial.count": 50,
-            "contact": {"law": "exact-jkr", "surface_energy": 0.2},
-            "drag.viscosity": 0.1,
-        },
-    ),
-    "rubbing cells": (
-        "grow-2000",
-        {
-            "initial.count": 45,
-            "friction": {"normal": 0.02, "tangential": 0.2},
-            "drag.viscosity": 0.5,
-        },
-    ),
-    "shaken": (
-        "settle",
-        {
-            "initial.count": 70,
-            "motility": {"diffusion": "0.02 um^2/s"},
-            "drag.viscosity": 0.05,
-            "coupling_step": "2 min",
-            "duration": "1 h",
         },
     ),
     "newborn sheet at 0.01": (
@@ -197,5 +147,54 @@ UNSEEN: Changes = {
             "drag.viscosity": 0.01,
         },
     ),
+    "Hertz, long steps": (
+        "grow-2000",
+        {
+            "initial.count": 90,
+            "contact": {"law": "hertz"},
+            "drag.viscosity": 2.0,
+            "coupling_step": "20 min",
+            "growth.cycle_time": "12 h",
+        },
+    ),
+    "fast runners in syrup": (
+        "settle",
+        {
+            "initial.count": 200,
+            "motility": {"force": "1 nN", "persistence": "5 min"},
+            "drag.viscosity": 3.0,
+            "coupling_step": "5 min",
+            "duration": "1 h",
+        },
+    ),
+    "sticky sheet": (
+        "grow-2000",
+        {
+            "initial.count": 130,
+            "dimensions": 2,
+            "initial.jitter": 0.0,
+            "contact": {"law": "jkr", "surface_energy": 0.3},
+            "drag.viscosity": 1.5,
+        },
+    ),
+    "30 stiff cells": (
+        "growth",
+        {
+            "initial.count": 30,
+            "initial.stage": "uniform",
+            "cells.young": "5 kPa",
+            "drag.viscosity": 1.0,
+        },
+    ),
+    "newborn ball at 0.002": (
+        "grow-2000",
+        {
+            "initial.count": 70,
+            "initial.stage": "birth",
+            "initial.jitter": 0.03,
+            "drag.viscosity": 0.002,
+        },
+    ),
+    "compressed at 0.3": ("compression", {"initial.count": 100, "drag.viscosity": 0.3}),
 }
-"""What was written down after the last fit."""
+"""What was written down after the last fit and the last change of the choice."""

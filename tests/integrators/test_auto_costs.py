@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -196,3 +197,35 @@ def test_a_scene_that_is_mild_at_a_glance_measures_nothing():
     work = simulation.state.work
     assert work["linearisations"] == work["jacobian_products"] == 0
     assert work["steps"] == work["steps_ab2_adaptive"] > 0
+
+
+def test_what_is_learnt_is_the_same_for_any_threads():
+    """To the bit, in coupling steps with and without a measured λ."""
+    position, radius, young = cluster(400, 2, spacing=0.9)
+    found = []
+    for count in (1, 2, 3):
+        system = mechanics(radius, young, duration=60.0, threads=count, chunk=60, shared_chunks=2)
+        at, learnt = position, []
+        for k in range(3):
+            begin = 3e4 * k
+            system.begin(replace(system.motion, begin=begin, end=begin + 3e4))
+            at = Auto(atol=0.03).integrate(system, at).position
+            learnt.append(system.learnt)
+        found.append((at.tobytes(), learnt))
+    assert Learnt(*found[0][1][-1]).ratio > 0.0
+    assert Learnt(*found[0][1][-1]).excess != (0.0,) * 5
+    assert found[0] == found[1] == found[2]
+
+
+def test_an_old_measured_rate_says_no_more_than_none():
+    system = mechanics(np.full(20, 5.0), np.ones(20), duration=60.0)
+    none = auto._between(system, Learnt())
+    known = [auto._between(system, Learnt(ratio=0.8, age=age)) for age in (0.0, 16.0, 1e4)]
+    for (low, high), (lower, higher) in pairwise(known):
+        assert lower < low < high < higher
+    assert known[-1] == pytest.approx(none)
+    assert known[0][1] / known[0][0] == pytest.approx(auto._NEAR**2)
+    # one that was measured outside of the usual range stays possible
+    low, high = auto._between(system, Learnt(ratio=9.0, age=1e4))
+    assert low == pytest.approx(none[0])
+    assert high == pytest.approx(3.0 * none[1])

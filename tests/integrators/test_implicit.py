@@ -312,8 +312,12 @@ def test_auto_chooses_by_stiffness_and_tolerance():
     chosen = [Auto(1e-6, 0.1).by_motion(system, position) for system in (soft, some, stiff)]
     assert [choice.method for choice in chosen] == ["ab2-adaptive", "rkc2", "rosenbrock"]
     assert Auto(1e-6, 1e-4).by_motion(soft, position).method == "rk4-adaptive"
-    exact = np.abs(np.linalg.eigvals(sparse_jacobian(soft).toarray())).max() * 60.0
-    assert 0.95 * exact < chosen[0].stiffness < 1.15 * exact
+    # λ of mild tissue is not measured
+    assert soft.work.linearisations == 0
+    found = measured_rate(soft, position)
+    exact = np.abs(np.linalg.eigvals(sparse_jacobian(soft).toarray())).max()
+    assert 0.95 * exact < found < 1.15 * exact
+    assert 0.3 < chosen[0].stiffness / (60.0 * exact) < 3.0
     assert Auto(1e-6, 0.1).by_motion(soft, position) == chosen[0]
     lone = mechanics(np.array([5.0]), np.array([1.0]))
     assert measured_rate(lone, np.zeros((1, 3))) == 0.0
