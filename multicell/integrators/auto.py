@@ -241,7 +241,7 @@ def candidates(system: Mechanics) -> list[str]:
 
 @final
 class _Seen(NamedTuple):
-    """What is known of a coupling step at a glance; logarithms are as of :func:`_rounded`.
+    """Facts of a coupling step at a glance; logarithms are those of :func:`_rounded`.
 
     - ``able``: names of the methods that can hold it
     - ``tolerance``, ``cells``: logarithms
