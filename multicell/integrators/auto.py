@@ -53,6 +53,7 @@ PATIENCE, _LONGER = 300, 3.0
 expects, before the step is left to another method."""
 _PASSES, _CALLS = 8.0, 2.0e3
 """Evaluations, and evaluations times cells by calls of Python, that it costs to measure λ."""
+_LOOK = 1.0e3  # evaluations times cells that it costs to judge a step by its motion
 _LEAST, _MOST = 0.3, 3.0
 """λ over its order of magnitude: of tissue in which it was not measured."""
 _NEAR, _OLD = 1.4, 16.0
@@ -310,7 +311,8 @@ def _sure(
     best = min(seen.able, key=lambda name: sum(costs[name] for costs in usual))
     every = [*usual, *cases(ends[0]), *cases(ends[1])]
     regret = max(costs[best] - min(costs.values()) for costs in every)
-    return best if regret <= _PASSES + _CALLS / n else ""
+    closer = 1.0 + _LOOK / n if motion is None else _PASSES + _CALLS / n
+    return best if regret <= closer else ""
 
 
 def _first(name: str, able: Collection[str]) -> tuple[str, ...]:
