@@ -4,8 +4,9 @@ Problem   spheroids of 2,500, 5,000 and 10,000 cells in wells of still medium, f
           radius R, and the inhibited and the necrotic radius over it, phi and eta
 Data      docs/data/wm983b-5000.csv (Browning et al., eLife 10, 2021, e73020), one row a spheroid
 Model     the scene `wm983b` with cells of twice the diameter (`multicell.coarsen`)
-Fitted    eight parameters to the means of 5,000 cells; deviations are those of single spheroids
-Beside    Greenspan's model (docs/programs/greenspan.py), five parameters, same data and likelihood
+Fitted    seven parameters to the means of 5,000 cells; deviations are those of single spheroids
+Beside    Greenspan's model (docs/programs/greenspan.py), five parameters, same data and likelihood,
+          and courses without a model: `null_models`
 Command   python docs/wm983b.py --fit                 the fit, kept in docs/data/wm983b-fit.json
           python docs/wm983b.py --predict 2500 10000  from what is kept (--json for programs)
           python docs/wm983b.py                       tables and the picture, from what is kept
@@ -43,18 +44,18 @@ COARSE = 2
 SEEDS = (1, 2)
 NAMES = ("radius", "inhibited_ratio", "necrotic_ratio")
 DAYS = np.array([3.0, 4.0, 5.0, 7.0, 10.0, 12.0, 14.0, 16.0, 18.0, 21.0])
-CELL, FLOOR = 9.5, 0.03
-"""Radius of a cell in um, and over R: the deviation of what is 0 in all spheroids of a day."""
+LEAST, FLOOR = 8.0, 0.03
+"""Smallest deviation of a radius, um, and that over R of what is 0 in all spheroids of a day."""
 SEEDINGS = (2500, 5000, 10000)
-BUDGET = 150
+BUDGET = 100
 FREE = {
     "initial.count": "log 250:700",
     "growth.phases.G1.duration": "20:90 h",
     "nutrients.oxygen.uptake_per_volume": "log 0.02:0.06 mM/s",
     "nutrients.oxygen.quiescence": "log 0.018:0.05 mM",
     "nutrients.oxygen.necrosis": "log 0.004:0.0179 mM",
-    "death.damage_time": "2.5:8 d",
-    "death.lysis_time": "log 4:30 d",
+    "death.damage_time": "1.5:6 d",
+    "death.lysis_time": "log 4:40 d",
 }
 
 
@@ -78,7 +79,7 @@ def main() -> None:
         else:
             for seeding, course in found.items():
                 show(f"{seeding} cells", course)
-                print("  rms / sd of R, phi R, eta R, all:", rated(seeding, course))
+                print("  rms / sd of R, phi R, eta R, all:", rated(seeding, radii(course)))
     else:
         pictures()
 
@@ -103,12 +104,45 @@ def specimens(seeding: int) -> Array:
     return np.array([[float(value) for value in row] for row in rows if row[0] != "day"])
 
 
-def means(single: Array, floor: float = FLOOR) -> tuple[Array, Array, Array]:
+def means(single: Array) -> tuple[Array, Array, Array]:
     """Return days (k,), and means and deviations over the spheroids of a day, (k, 3)."""
     days = np.unique(single[:, 0])
     groups = [single[single[:, 0] == day, 1:] for day in days]
     sd = np.array([group.std(axis=0, ddof=1) for group in groups])
-    return days, np.array([group.mean(axis=0) for group in groups]), np.where(sd > 0, sd, floor)
+    return days, np.array([group.mean(axis=0) for group in groups]), np.where(sd > 0, sd, FLOOR)
+
+
+def mean_radii(seeding: int) -> tuple[Array, Array]:
+    """Return means of three radii and their deviations, at least `LEAST`, (days, 3) um."""
+    _, mean, sd = means(radii(specimens(seeding)))
+    return mean, np.maximum(sd, LEAST)
+
+
+def null_models(seeding: int) -> dict[str, Array]:
+    """Return the three radii without a model of cells, (days, 3) um, by name.
+
+    The first two know what the fit knows. The line knows the two other seedings, and persistence
+    the seeding itself, but for the day in question: on the first day it has nothing, nan.
+    """
+    known, own = mean_radii(FITTED)[0], mean_radii(seeding)[0]
+    low, high = (n for n in SEEDINGS if n != seeding)
+    share = np.log(seeding / low) / np.log(high / low)
+    line = mean_radii(low)[0] * (1 - share) + mean_radii(high)[0] * share
+    return {
+        "as 5,000": known,
+        "5,000, other days": np.stack(
+            [np.interp(DAYS + delay(seeding), DAYS, column) for column in known.T], axis=1
+        ),
+        "line through the other two": np.maximum(line, 0.0),
+        "as on the day before": np.vstack([np.full((1, 3), np.nan), own[:-1]]),
+    }
+
+
+def delay(seeding: int) -> float:
+    """Return by how many days tissue of other seedings is older: growth of 5,000 at first."""
+    early = DAYS <= 10.0
+    rate = np.polyfit(DAYS[early], np.log(mean_radii(FITTED)[0][early, 0] ** 3), 1)[0]
+    return float(np.log(seeding / FITTED) / rate)
 
 
 def radii(found: Array) -> Array:
@@ -211,31 +245,24 @@ def pictures() -> None:
     kept = json.loads(KEPT.read_text())
     other = greenspan.fit(*means(specimens(FITTED)))
     print(other)
-    print("rms of (model - mean) / sd       R  phi R  eta R   all   single spheroids in 95 %")
+    print("rms of (model - mean) / sd                R  phi R  eta R   all   spheroids in 95 %")
     bands, rivals = {}, {}
     for seeding in SEEDINGS:
         bands[seeding] = np.array(kept["ensembles"][str(seeding)])
         rivals[seeding] = other.course(DAYS, seeding / FITTED)
-        single = radii(specimens(seeding))
-        _, mean, sd = means(single, CELL)
-        models = {
-            "wm983b": radii(bands[seeding].mean(axis=0)),
-            "Greenspan": radii(rivals[seeding]),
-            "as 5,000": radii(means(specimens(FITTED))[1]),
-        }
-        for name, course in models.items():
-            off = (course - mean) / sd
-            parts = " ".join(f"{rms(part):6.2f}" for part in (*off.T, off))
-            print(f"{seeding:6d} cells, {name:12s} {parts}   ", end="")
-            print(f"{covered(single, radii(bands[seeding]), sd):.0%}" if name == "wm983b" else "")
+        band = radii(bands[seeding])
+        courses = {"wm983b": band.mean(axis=0), "Greenspan": radii(rivals[seeding])}
+        for name, course in (courses | null_models(seeding)).items():
+            print(f"{seeding:6d} cells, {name:27s} {rated(seeding, course)}   ", end="")
+            print(f"{covered(seeding, band):.0%}" if name == "wm983b" else "")
     save_figure(draw(bands, rivals), HERE / "figures" / "wm983b.png")
 
 
 def rated(seeding: int, course: Array) -> str:
-    """Return rms (model - mean) / sd of the three radii and of all, as text."""
-    _, mean, sd = means(radii(specimens(seeding)), CELL)
-    off = (radii(course) - mean) / sd
-    return " ".join(f"{rms(part):.2f}" for part in (*off.T, off))
+    """Return rms (model - mean) / sd of three radii (um) and of all, as text."""
+    mean, sd = mean_radii(seeding)
+    off = ((course - mean) / sd)[~np.isnan(course).any(axis=1)]
+    return " ".join(f"{rms(part):6.2f}" for part in (*off.T, off))
 
 
 def rms(off: Array) -> float:
@@ -243,11 +270,12 @@ def rms(off: Array) -> float:
     return float(np.sqrt(np.mean(off**2)))
 
 
-def covered(single: Array, band: Array, sd: Array) -> float:
-    """Return the part of all values of single spheroids within 1.96 deviations of the model.
+def covered(seeding: int, band: Array) -> float:
+    """Return the part of all radii of single spheroids within 1.96 deviations of the model.
 
     The variance is that of the mean over the posterior and that of spheroids of a day.
     """
+    single, (_, sd) = radii(specimens(seeding)), mean_radii(seeding)
     rows = np.searchsorted(DAYS, single[:, 0])
     spread = np.sqrt(band.var(axis=0) + sd**2)[rows]
     return float((np.abs(single[:, 1:] - band.mean(axis=0)[rows]) <= 1.96 * spread).mean())

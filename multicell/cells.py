@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from enum import IntEnum
 from functools import cache
@@ -26,6 +26,9 @@ HALF = 0.5 ** (1.0 / 3.0)
 """Radius of a sphere over the radius of one with twice its volume."""
 
 _TABLE = 8  # identities for each cell that a table of them may span
+
+Share = Callable[[Callable[[int, int], None], int], None]
+"""Calls a function for parts of the rows of so many cells, as many as threads share the work."""
 
 
 def stokes_drag(viscosity: float) -> float:
@@ -205,10 +208,15 @@ class Cells:
             if name in vars(self):
                 yield name, getattr(self, name)
 
-    def take(self, index: NDArray[Any]) -> Cells:
-        """Return copies of the cells at ``index`` (integers or a mask), in that order."""
+    def take(self, index: NDArray[Any], share: Share | None = None) -> Cells:
+        """Return copies of the cells at ``index`` (integers or a mask), in that order.
+
+        - ``share``: by which threads share the work; no index is negative then
+        """
         if index.dtype == np.bool_:
             (index,) = index.nonzero()
+        if share is not None:
+            return self.replaced(index, Cells.empty(), share)
         return _made({name: column.take(index, axis=0) for name, column in vars(self).items()})
 
     def copy(self) -> Cells:
@@ -234,16 +242,33 @@ class Cells:
         """Return the row of the cell of each identity, in the shape of ``ids``; -1 without one."""
         return rows_by_id(self.id, ids)
 
-    def replaced(self, index: NDArray[Any], other: Cells) -> Cells:
-        """Return the cells at ``index`` followed by those of ``other``, column by column."""
+    def replaced(self, index: NDArray[Any], other: Cells, share: Share | None = None) -> Cells:
+        """Return the cells at ``index`` followed by those of ``other``, column by column.
+
+        - ``index``: a mask, or integers of which none is negative
+        - ``share``: by which threads share the work
+        """
         if index.dtype == np.bool_:
             (index,) = index.nonzero()
-        return _made(
-            {
-                name: np.concatenate([column.take(index, axis=0), getattr(other, name)])
-                for name, column in vars(self).items()
-            }
-        )
+        count, kept = len(index) + len(other), len(index)
+        found = {
+            name: np.empty((count, *column.shape[1:]), column.dtype)
+            for name, column in vars(self).items()
+        }
+
+        def run(begin: int, end: int) -> None:
+            rows = index[begin:end]
+            for name, column in vars(self).items():
+                column.take(rows, 0, found[name][begin:end], "clip")
+
+        if share is None:
+            run(0, kept)
+        else:
+            share(run, kept)
+        for name, column in found.items():
+            if count > kept:
+                column[kept:] = getattr(other, name)
+        return _made(found)
 
     @classmethod
     def schema(cls) -> dict[str, dict[str, Any]]:
@@ -280,36 +305,46 @@ def _layout() -> dict[str, tuple[Any, int | None]]:
 
 def rows_before(began: Cells, cells: Cells) -> IntArray:
     """Return the rows that cells had before a coupling step, or their mothers, (n,)."""
-    row = began.rows_of(cells.id)
     if cells.id is began.id:
-        return row
-    born = row < 0
-    row[born] = began.rows_of(cells.parent[born])
+        return began.rows_of(cells.id)
+    find = _finder(began.id)
+    row = find(cells.id)
+    born = np.flatnonzero(row < 0)
+    row[born] = find(cells.parent[born])
     return row
 
 
 def rows_by_id(known: IntArray, ids: IntArray) -> IntArray:
     """Return the place among ``known`` identities of each of ``ids``; -1 where it is not there.
 
-    A table of all identities up to the largest where that is in proportion, else by sorting.
-
     - ``known``, (n,): identities, none twice
     - ``ids``, of any shape
     """
     if ids is known:  # as in all steps without divisions
         return np.arange(len(known))
-    ids = np.asarray(ids)
-    if len(known) == 0 or ids.size == 0:
-        return np.full(ids.shape, -1)
+    return _finder(known)(np.asarray(ids))
+
+
+def _finder(known: IntArray) -> Callable[[IntArray], IntArray]:
+    """Return a search for places among ``known`` identities.
+
+    A table of all identities up to the largest where that is in proportion, else by sorting.
+    """
+    if len(known) == 0:
+        return lambda ids: np.full(ids.shape, -1)
     low, high = int(known.min()), int(known.max())
     if high - low < _TABLE * len(known) + 1000:
         # the first and the last entry stand for all that are not between the two
-        table = np.full(high - low + 3, -1, dtype=np.int32)
-        table[known - (low - 1)] = np.arange(len(known), dtype=np.int32)
-        return table.take(ids - (low - 1), mode="clip").astype(np.int64)
+        table = np.full(high - low + 3, -1, dtype=np.int64)
+        table[known - (low - 1)] = np.arange(len(known))
+        return lambda ids: table.take(ids - (low - 1), mode="clip")
     order = np.argsort(known)
-    place = np.minimum(np.searchsorted(known, ids, sorter=order), len(known) - 1)
-    return np.where(known[order[place]] == ids, order[place], -1)
+
+    def find(ids: IntArray) -> IntArray:
+        place = np.minimum(np.searchsorted(known, ids, sorter=order), len(known) - 1)
+        return np.where(known[order[place]] == ids, order[place], -1)
+
+    return find
 
 
 def contact_rows(cells: Cells, contacts: IntArray) -> IntArray:

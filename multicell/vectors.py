@@ -57,8 +57,9 @@ def wrapped(position: FloatArray, period: FloatArray) -> FloatArray:
     """
     inverse = np.divide(1.0, period, out=np.zeros(3), where=period > 0.0)
     inside = position - period * np.floor(position * inverse)
-    # what lies below zero by rounding is at the other end
-    return np.where((inside >= period) & (period > 0.0), 0.0, inside)
+    # by rounding some lie at the other end, or below zero: a whole number of periods away
+    outside = ((inside < 0.0) | (inside >= period)) & (period > 0.0)
+    return np.where(outside, 0.0, inside)
 
 
 def nearest_differences(

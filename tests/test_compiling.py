@@ -149,6 +149,7 @@ print(sum(doubled.stats.cache_hits.values()))
 """
 
 
+@pytest.mark.slow
 def test_code_on_disk_for_a_type_that_is_gone_is_compiled_anew(tmp_path):
     """An upgrade leaves files of numba that name types of the version before it."""
     hits, cache = [], str(tmp_path / "cache")

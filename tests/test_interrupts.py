@@ -451,6 +451,7 @@ except KeyboardInterrupt:
 """
 
 
+@pytest.mark.slow
 def test_compiled_code_of_others_that_swallows_an_interrupt_neither_prints_nor_keeps_it():
     """SciPy's reads the numbers of Sobol' sequences once, and prints what is raised in that."""
     done = subprocess.run(
@@ -475,6 +476,7 @@ import numpy as np""",
 )
 
 
+@pytest.mark.slow
 def test_a_press_while_a_press_is_raised_again_prints_nothing():
     done = subprocess.run(
         [sys.executable, "-c", PRESSED_AGAIN], capture_output=True, text=True, timeout=60,
@@ -500,6 +502,7 @@ import numpy as np""",
 )
 
 
+@pytest.mark.slow
 def test_a_press_that_cannot_be_raised_again_does_not_swallow_the_next():
     done = subprocess.run(
         [sys.executable, "-c", NO_THREAD], capture_output=True, text=True, timeout=60,

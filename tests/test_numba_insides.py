@@ -67,6 +67,7 @@ print(np.array_equal(square(np.eye(3) * 2.0), np.eye(3) * 4.0), "scipy.linalg" i
 """
 
 
+@pytest.mark.slow
 def test_linear_algebra_is_loaded_where_a_kernel_calls_it():
     done = subprocess.run([sys.executable, "-c", BLAS], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False", "True", "True"]

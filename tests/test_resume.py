@@ -127,6 +127,8 @@ CASES = {
     }),
 }  # fmt: skip
 """Further physics is resumed from frames in memory in ``test_determinism``."""
+ALONE = ("exact JKR", "space that repeats")
+"""Cases whose kernels no other short test needs."""
 
 
 @pytest.fixture(scope="module")
@@ -137,7 +139,7 @@ def spheroid(tmp_path_factory):
 
 @pytest.mark.parametrize(
     "case",
-    [pytest.param(case, marks=pytest.mark.slow) if "exact" in case else case for case in CASES],
+    [pytest.param(case, marks=pytest.mark.slow) if case in ALONE else case for case in CASES],
 )
 def test_resumed_runs_have_the_bits_of_uninterrupted_ones(case, spheroid, tmp_path):
     name, changes = CASES[case]
@@ -302,6 +304,7 @@ def frames_read(folder, count, monkeypatch):
     return len(read)
 
 
+@pytest.mark.slow
 def test_the_cost_of_a_resume_is_linear_in_the_frames(tmp_path, monkeypatch):
     few, many = (frames_read(tmp_path / str(n), n, monkeypatch) for n in (10, 40))
     assert few > 10

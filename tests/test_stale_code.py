@@ -61,6 +61,7 @@ def test_an_edited_helper_of_another_file_is_compiled_anew_and_a_page_is_not(cop
     assert taken() == (0.25, 1)
 
 
+@pytest.mark.slow
 def test_a_stamp_changes_with_each_file_that_kernels_are_made_of(copied):
     package, _ = copied
     code = "import sys; sys.path.insert(0, sys.argv[1])\nfrom multicell.compiling import cache\n"
@@ -112,6 +113,7 @@ def _compiled(tree):
             yield function
 
 
+@pytest.mark.slow
 def test_what_kernels_read_of_other_files_is_in_their_stamp():
     known = {Path(file).resolve() for file in cache.sources()}
     read = set()

@@ -135,6 +135,7 @@ def test_the_scene_divides_and_dies_in_the_step_that_fails():
     assert min(before.cells.lag) < 0.0
 
 
+@pytest.mark.slow
 def test_a_field_that_fails_ends_a_run_with_all_that_came_before(tmp_path, monkeypatch):
     whole = mc.run(SCENE.with_changes({"duration": "4 h"}), report=False)
     advance = fails(NutrientFailed("it cannot be solved", "Try again"), 4)(FieldGroup.advance)

@@ -5,9 +5,10 @@ Problem   asynchronous cells of the scene `spheroid` in rich medium: all grow, d
           --physicell the same number of cells there (physicell_speed.py), with --pyphysicell in
           that package as well, and single commands as a user gives them
 Measured  wall time of that hour in a process of its own, with one thread and with all; peak memory
-          above what the process held before; the share of each part of a step. Medians of rounds:
-          each round measures everything once, every other round in reverse, so that a machine
-          that becomes slower does so for all
+          above what the process held before; the share of each part of a step; of the CPU time
+          the part that one thread has spent alone, which other programs hardly change. Medians of
+          rounds: each round measures everything once, every other round in reverse, so that a
+          machine that becomes slower does so for all
 Separated compilation and start: each size is run once before it is timed, by the first step.
           What other programs use of the machine in the second before is in the table
 Cost      a round takes five minutes on 2 cores, with a million cells; PhysiCell's 100,000 cells
@@ -15,6 +16,7 @@ Cost      a round takes five minutes on 2 cores, with a million cells; PhysiCell
 Command   python docs/programs/performance.py --physicell FOLDER [--rounds 5] [--cells 100 1000 ...]
           [--threads 1 2] [--beside 10000 100000] [--parts hour beside runs] [--minutes 6 6]
           [--pyphysicell PYTHON]
+          python docs/programs/performance.py --serial --cells 100000   prints the serial part
           python docs/programs/performance.py --tables     only makes the page from the table
 
 FOLDER is a built template project of PhysiCell, its sources, or an archive of them; PYTHON an
@@ -26,9 +28,12 @@ other pages quote it (speed_tables.py).
 from __future__ import annotations
 
 import argparse
+import contextlib
+import cProfile
 import datetime
 import json
 import os
+import pstats
 import re
 import resource
 import subprocess
@@ -62,7 +67,18 @@ def peak() -> float:
     return float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 
 
-def measure_hour(cells: int, threads: int) -> dict[str, Any]:
+def time_alone(threads: int) -> float:
+    """Return the CPU seconds of this thread that each of the others has not had.
+
+    What threads share takes as much of each: the rest is serial.
+    """
+    own = time.thread_time()
+    return own - (time.process_time() - own) / (threads - 1) if threads > 1 else own
+
+
+def measure_hour(
+    cells: int, threads: int, profile: cProfile.Profile | None = None
+) -> dict[str, Any]:
     """Run an hour of one size; return what it took."""
     import multicell as mc
     from multicell.simulation import Simulation
@@ -79,18 +95,29 @@ def measure_hour(cells: int, threads: int) -> dict[str, Any]:
     simulation = Simulation(scene, threads=threads)
     simulation.step()
     parts, begin = dict(simulation.wall), simulation.time
-    clock = time.perf_counter()
-    while simulation.time < begin + HOUR * (1.0 - 1e-9):
-        simulation.step()
+    alone, spent, clock = time_alone(threads), time.process_time(), time.perf_counter()
+    with profile or contextlib.nullcontext():
+        while simulation.time < begin + HOUR * (1.0 - 1e-9):
+            simulation.step()
     took = time.perf_counter() - clock
+    alone, spent = time_alone(threads) - alone, time.process_time() - spent
     used = {name: took - parts[name] for name, took in simulation.wall.items()}
     return {
         "seconds": took,
         "us_per_cell": 1e6 * took / len(simulation.cells),
         "kB_per_cell": (peak() - least) / len(simulation.cells),
         **{name: used[name] / sum(used.values()) for name in speed_tables.PARTS},
+        "serial": alone / spent,
         "simulated_min": HOUR / 60.0,
     }
+
+
+def print_serial(cells: int, threads: int) -> None:
+    """Print which functions one thread does alone, by its CPU time there in s."""
+    profile = cProfile.Profile(partial(time_alone, threads))
+    print(f"serial part: {measure_hour(cells, threads)['serial']:.3f}")
+    measure_hour(cells, threads, profile)
+    pstats.Stats(profile).sort_stats("tottime").print_stats(25)
 
 
 def apart(cells: int, threads: int) -> dict[str, Any]:
@@ -197,10 +224,14 @@ def main() -> None:
     parser.add_argument("--machine", default="", help="name of the machine in the table")
     parser.add_argument("--table", type=Path, help="write there instead, and no page")
     parser.add_argument("--tables", action="store_true", help="measure nothing")
+    parser.add_argument("--serial", action="store_true", help="print the serial part of an hour")
     parser.add_argument("--one", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.one:
         print(json.dumps(measure_hour(given.cells[0], given.threads[0])))
+        return
+    if given.serial:
+        print_serial(given.cells[0], max(given.threads))
         return
     if not given.tables:
         stamp = {

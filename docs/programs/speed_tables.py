@@ -25,6 +25,7 @@ ORIGINS = DOCS / "figures" / "origins.json"
 PAGE = DOCS / "performance.md"
 KEY = ["what", "program", "cells", "threads"]
 PARTS = ["mechanics", "nutrient", "events", "biology"]
+SERIAL = "serial"  # part of the CPU time of an hour that one of the threads has spent alone
 RUNS = {
     "spheroid": "built-in `spheroid`, 12 days, one thread, kernels compiled before",
     "first step": "any run with compiled kernels, from the command to the end of its first step",
@@ -38,7 +39,7 @@ def read() -> pd.DataFrame:
     """Return the table."""
     texts = dict.fromkeys(["what", "program", "machine", "date", "note"], str)
     return pd.read_csv(TABLE, dtype=texts, keep_default_na=False, na_values={"others": [""]} | {
-        name: [""] for name in ("us_per_cell", "kB_per_cell", "simulated_min", *PARTS)
+        name: [""] for name in ("us_per_cell", "kB_per_cell", "simulated_min", *PARTS, SERIAL)
     })  # fmt: skip
 
 
@@ -53,7 +54,7 @@ def write(new: pd.DataFrame) -> None:
 def medians(rows: pd.DataFrame) -> pd.DataFrame:
     """Return the median of every column of numbers over the rounds, with the ends of the times."""
     groups = rows.groupby(KEY)
-    found = groups[["seconds", "us_per_cell", "kB_per_cell", *PARTS]].median()
+    found = groups[["seconds", "us_per_cell", "kB_per_cell", *PARTS, SERIAL]].median()
     ends = groups["seconds"].agg(least="min", most="max", rounds="count")
     return found.join(ends).reset_index()
 
@@ -205,14 +206,17 @@ def serial_part(one: float, many: float, threads: int) -> float:
 def scaling(rows: pd.DataFrame) -> str:
     """Return the table of speed-ups: measured with all threads, and by Amdahl's law with more."""
     middle = medians(rows[rows["what"] == "hour"])
-    times = middle.pivot(index="cells", columns="threads")["seconds"]
+    table_of = middle.pivot(index="cells", columns="threads")
+    times, alone = table_of["seconds"], table_of[SERIAL]
     most = max(times.columns)
     lines = [["cells", f"{most} threads, measured", "serial part", "8", "16", "64", "limit"]]
     for cells, row in times.dropna().iterrows():
         # threads share nothing below 14,337 cells
         if most == 1 or cells < 20_000:
             continue
-        serial = serial_part(row[1], row[most], most)
+        serial = alone.loc[cells, most]
+        if pd.isna(serial):  # of old rows it is not known
+            serial = serial_part(row[1], row[most], most)
         ahead = [1.0 / (serial + (1.0 - serial) / cores) for cores in (8, 16, 64)]
         limit = 1.0 / serial if serial > 0.0 else float("inf")
         lines.append(

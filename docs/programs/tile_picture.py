@@ -14,7 +14,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.patheffects import withStroke
 from tile_problems import STATES
 from tile_race import Row
-from tile_tables import Point, points, power
+from tile_tables import Point, points, power, seed_range
 
 from multicell.report.plots.style import INK, QUIET, blank, styled
 
@@ -56,7 +56,7 @@ def draw(tiles: Sequence[Row], rows: Sequence[Row], goal: float) -> Figure:
         else:
             axes.tick_params(labelleft=False)
     _scale(figure)
-    _legend(figure, {x: max(p.seeds for p in found if p.cells == x) for x in xs})
+    _legend(figure, {x: seed_range(found, x) for x in xs})
     return figure
 
 
@@ -114,7 +114,7 @@ def _scale(figure: Figure) -> None:
                 weight="bold")  # fmt: skip
 
 
-def _legend(figure: Figure, seeds: dict[int, int]) -> None:
+def _legend(figure: Figure, seeds: dict[int, str]) -> None:
     handles = [
         Patch(facecolor=_NULL, label="a null method has this error"),
         Patch(facecolor="white", hatch="////", edgecolor=_HATCH, linewidth=0,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -153,6 +153,12 @@ def _ratio(rows: Sequence[Row]) -> tuple[float, int]:
     return costs[0] / costs[1], reached[1] - reached[0]
 
 
+def seed_range(found: Collection[Point], cells: int) -> str:
+    """Return with how many seeds tiles of so many cells were solved, such as 1 to 5."""
+    few, many = (choose(p.seeds for p in found if p.cells == cells) for choose in (min, max))
+    return str(few) if few == many else f"{few} to {many}"
+
+
 def _leads(seeds: Sequence[Sequence[Row]]) -> dict[str, float]:
     """Return method -> median over its seeds of its cost over the least of a method of one kind.
 
@@ -203,8 +209,7 @@ def main_table(tiles: Sequence[Row], rows: Sequence[Row], goal: float) -> str:
         for z in sorted({z for s, z, _ in found if s == state}):
             cells = [_entry(found.get((state, z, n))) for n in counts]
             lines.append([state, power(z), *cells])
-    seeds = {n: max(p.seeds for p in found.values() if p.cells == n) for n in counts}
-    heads = [f"{power(n)} cells ({seeds[n]} seed{'s' * (seeds[n] > 1)})" for n in counts]
+    heads = [f"{power(n)} cells (seeds: {seed_range(found.values(), n)})" for n in counts]
     return markdown(["state", "λΔt", *heads], lines)
 
 

@@ -44,7 +44,7 @@ from multicell.tables.text import table_text
 
 DOCS = Path(__file__).parents[1]
 STIFFNESS = (1e1, 1e2, 1e3, 1e4, 1e5, 1e6)
-SEEDS = {100: 20, 1_000: 20, 10_000: 2, 100_000: 1}
+SEEDS = {100: 20, 1_000: 20, 10_000: 5, 100_000: 1}
 """Number of cells -> number of seeds."""
 MOST = {100_000: 1e3}
 """Number of cells -> largest λΔt that is tried by default."""

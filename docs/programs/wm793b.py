@@ -98,8 +98,7 @@ def fit() -> dict[str, Any]:
             return math.inf
         return float((((found - mean) / sd) ** 2).sum())
 
-    known = regimes.read_kept()
-    first = np.array([regimes.start_of(f.key, known) for f in ranges])
+    first = regimes.start_of(ranges, regimes.read_kept())
     tried = regimes.search(misfit, first, 0.2, SETS)
     tried.sort(key=lambda pair: pair[0])
     # those that the data do not tell from the best, by the misfit that even the best has

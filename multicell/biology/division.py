@@ -24,6 +24,7 @@ from multicell.cells import (
     IntArray,
     Mask,
     Phase,
+    Share,
     Signals,
     State,
 )
@@ -86,6 +87,7 @@ def divide(
     signals: Signals = _NONE,
     factor: float | FloatArray = 1.0,
     since: FloatArray | None = None,
+    share: Share | None = None,
 ) -> tuple[Cells, int]:
     """Divide all proliferating cells at the end of M, or at the division volume without phases.
 
@@ -103,6 +105,7 @@ def divide(
     - ``factor``, (n,) or one for all: part of unlimited growth at which they have grown in the step
     - ``since``, (n,) s: how long before its end those divided that a condition lets divide; NaN of
       others, absent: there are none
+    - ``share``: by which threads share the copying
 
     Returns cells: the cells that did not divide, in their old order, followed by the daughters in
     the order of their identities. The daughters have the age of that rest, the mother's pressure
@@ -138,7 +141,7 @@ def divide(
         daughters.progress = daughters.age.copy()
     if not plan.phased:
         _grow_since(plan, daughters, np.repeat(volume, 2), np.repeat(waited, 2))
-    return cells.replaced(~ripe, daughters), int(ids[-1]) + 1
+    return cells.replaced(~ripe, daughters, share), int(ids[-1]) + 1
 
 
 def _waited(

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.biology.responding import combine_responses
-from multicell.cells import Cells, FloatArray, Mask, Signals, State, rows_before
+from multicell.cells import Cells, FloatArray, IntArray, Mask, Signals, State, rows_before
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
@@ -33,6 +33,11 @@ if TYPE_CHECKING:
 
 _GROWING = int(State.PROLIFERATING)  # numbers compare with arrays faster than names do
 _SHARE = 0.5  # of the lag that is made good in a step
+_REMAINS = 1e-3
+"""Part of the volume at which dead cells are removed, which stays until the step ends and they are.
+
+A cell that is lysed in a small part of the step would be none before: forces need a radius.
+"""
 
 
 def growth_factor(
@@ -96,17 +101,28 @@ def volumes_after(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float
             volume = np.where(grow, law.volume_after(volume, share, birth), volume)
     if plan.death is not None and np.count_nonzero(cells.dead):
         dead = np.flatnonzero(cells.dead)
-        volume[dead] *= shrunk(plan.death, cells.state[dead], cells.age[dead], dt)
+        birth, state = plan.birth_volumes(cells.kind[dead]), cells.state[dead]
+        volume[dead] = shrunk(plan.death, birth, volume[dead], state, cells.age[dead], dt)
     return volume
 
 
-def shrunk(death: Death, state: NDArray[np.int8], since: Any, dt: Any) -> FloatArray:
-    """Return the volume of dead cells after ``dt`` s over that now, a time ``since`` death, (n,).
+def shrunk(
+    death: Death,
+    birth: float | FloatArray,
+    volume: FloatArray,
+    state: NDArray[np.int8],
+    since: Any,
+    dt: Any,
+) -> FloatArray:
+    """Return the volumes of dead cells after ``dt`` s, a time ``since`` death, (n,) µm³.
 
+    - ``birth``, (n,) or one for all, ``volume``, (n,): at birth and now, µm³
     - ``state``, (n,): values of :class:`multicell.cells.State`
     """
     lost = _necrotic_factor(death, np.broadcast_to(since, state.shape), dt)
-    return np.where(state == State.NECROTIC, lost, np.exp(-dt / death.apoptosis_time))
+    left = volume * np.where(state == State.NECROTIC, lost, np.exp(-dt / death.apoptosis_time))
+    remains = _REMAINS * death.removal_fraction * birth
+    return np.maximum(left, np.minimum(volume, remains))
 
 
 def _necrotic_factor(death: Death, since: FloatArray, dt: Any) -> FloatArray:
@@ -132,17 +148,24 @@ def corrected_factor(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: fl
 
 
 def lag_after(
-    plan: BiologyPlan, began: Cells, before: FloatArray, cells: Cells, now: FloatArray, dt: float
+    plan: BiologyPlan,
+    began: Cells,
+    before: FloatArray,
+    cells: Cells,
+    now: FloatArray,
+    dt: float,
+    row: IntArray | None = None,
 ) -> FloatArray:
     """Return for how long each cell has yet to grow after a step, (n,) s of unlimited growth.
 
     - ``began``, ``before``: the cells of the step's beginning, and their factors
     - ``cells``, ``now``: those of its end, whose lag lacks this step, and their factors
     - ``dt``: its length, s
+    - ``row``, (n,): the rows of the cells or their mothers then, where they are known
     """
     grew = growing(plan, began)
     if cells.id is not began.id:  # as in steps with divisions
-        row = rows_before(began, cells)
+        row = rows_before(began, cells) if row is None else row
         grew, before = grew[row], before[row]
     change = np.where(grew & growing(plan, cells), now - before, 0.0)
     return np.where(cells.dead, 0.0, cells.lag + 0.5 * dt * change)

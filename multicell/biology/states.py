@@ -24,7 +24,7 @@ from multicell.biology.division import ROUNDING, due_to_divide
 from multicell.biology.exposure import finite_rate, part_until
 from multicell.biology.growth import shrunk
 from multicell.biology.responding import rate_of, rate_of_harm, wants_rest
-from multicell.cells import SPHERE, Cells, FloatArray, IntArray, Mask, Phase, Signals, State
+from multicell.cells import SPHERE, Cells, FloatArray, IntArray, Mask, Phase, Share, Signals, State
 from multicell.random import GOLDEN, Purpose
 
 if TYPE_CHECKING:
@@ -194,7 +194,8 @@ def die(
     rows = np.flatnonzero(died)
     volume = exposure[rows].volume_at(part[rows])
     age[rows] = np.minimum((1.0 - part[rows]) * exposure.length, cells.age[rows])
-    left = volume * shrunk(plan.death, cells.state[rows], 0.0, age[rows])
+    birth = plan.birth_volumes(cells.kind[rows])
+    left = shrunk(plan.death, birth, volume, cells.state[rows], 0.0, age[rows])
     radius = cells.radius.copy()
     radius[rows] = np.cbrt(left / SPHERE)
     return cells.changed(age=age, radius=radius), float((volume - left).sum())
@@ -210,8 +211,9 @@ def rest_from_birth(cells: Cells, before: NDArray[np.int8], exposure: Exposure) 
     """
     if cells.id is exposure.began.id:  # no cell was born
         return cells
-    rests = (cells.state == _RESTING) & (before == _GROWING)
-    rows = np.flatnonzero(rests & (exposure.began.id[exposure.row] != cells.id))
+    rows = np.flatnonzero((cells.state == _RESTING) & (before == _GROWING))
+    if rows.size:
+        rows = rows[exposure.began.id[exposure.row[rows]] != cells.id[rows]]
     if not rows.size:
         return cells
     birth = np.maximum(1.0 - cells.age[rows] / exposure.length, 0.0)
@@ -424,7 +426,7 @@ def _tolerance(plan: BiologyPlan, ids: IntArray) -> FloatArray:
     return np.asarray(gammainccinv(shape, u) / shape)
 
 
-def remove_lysed(plan: BiologyPlan, cells: Cells) -> tuple[Cells, int]:
+def remove_lysed(plan: BiologyPlan, cells: Cells, share: Share | None = None) -> tuple[Cells, int]:
     """Remove dead cells smaller than ``removal_fraction`` of the birth volume; return how many."""
     if plan.death is None:
         return cells, 0
@@ -434,7 +436,7 @@ def remove_lysed(plan: BiologyPlan, cells: Cells) -> tuple[Cells, int]:
     smallest = plan.death.removal_fraction * plan.birth_volumes(cells.kind)
     gone = dead & (cells.volume < smallest)
     removed = int(gone.sum())
-    return (cells.take(~gone), removed) if removed else (cells, 0)
+    return (cells.take(~gone, share), removed) if removed else (cells, 0)
 
 
 def irradiate(

@@ -23,7 +23,7 @@ from multicell.biology.states import (
     rest_from_birth,
     update_states,
 )
-from multicell.cells import SPHERE, Cells, FloatArray, Mask, Signals, rows_before
+from multicell.cells import SPHERE, Cells, FloatArray, Mask, Share, Signals, rows_before
 from multicell.scene.domain import check_inside
 from multicell.vectors import cubes
 
@@ -146,19 +146,20 @@ def divide_and_remove(
     dt: float,
     signals: Signals = MappingProxyType({}),
     factor: float | FloatArray = 1.0,
+    share: Share | None = None,
 ) -> Events:
     """Return the cells after all that changes their number at the end of a step.
 
     ``time`` is that end and ``dt`` the length of the step, s, ``factor`` the part of unlimited
-    growth at which cells have grown in it, (n,) or one for all.
+    growth at which cells have grown in it, (n,) or one for all; threads ``share`` the copying.
     """
-    divided, free = divide(plan, cells, next_id, dt, signals, factor)
+    divided, free = divide(plan, cells, next_id, dt, signals, factor, share=share)
     if free > next_id:
         # daughters lie within their mother: only one that is pressed nearly flat, or that no
         # wall holds, can have one outside
         check_inside(plan.domain, divided.id, divided.position, time)
         divided = bind_changed(plan, cells, divided, signals, time)
-    left, removals = remove_lysed(plan, divided)
+    left, removals = remove_lysed(plan, divided, share)
     released = float(divided.volume.sum()) - float(left.volume.sum()) if removals else 0.0
     return Events(left, free, removals, released)
 

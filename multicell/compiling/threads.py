@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable
-from copy import copy
 from itertools import pairwise
 from types import FunctionType, TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self, final
@@ -117,6 +116,15 @@ def two_drivers(body: Callable[..., Any]) -> tuple[Any, Any]:
     return serial(body), shared(twin)
 
 
+_WORTH = 20_000  # least number of rows for which a thread is woken
+
+
+def share_rows(threads: int, body: Callable[[int, int], None], count: int) -> None:
+    """Call ``body(begin, end)`` for parts of so many rows, one a thread where that is worth it."""
+    with Team(max(1, min(threads, count // _WORTH))) as team:
+        team.share(body, count)
+
+
 @final
 class Team:
     """Threads of the interpreter that share loops of kernels that release its lock.
@@ -151,8 +159,10 @@ class Team:
 
     def at_most(self, threads: int) -> Team:
         """Return the same threads, but no more than so many of them, for less work."""
-        fewer = copy(self)
-        fewer.threads = max(1, min(self.threads, threads))
+        if threads >= self.threads:
+            return self
+        fewer = object.__new__(Team)  # copy.copy asks more than a loop takes that few share
+        vars(fewer).update(vars(self), threads=max(1, threads))
         return fewer
 
     def share(self, kernel: Callable[..., Any], count: int, *arguments: Any) -> None:

@@ -78,6 +78,8 @@ class _Loader:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")  # of values that numba cannot read
+                # a press leaves the file of a module that is being read open, which is no error
+                warnings.simplefilter("ignore", ResourceWarning)
                 exec(code, module.__dict__)
             if vars(module)["NUMBA_NUM_THREADS"] < 1:  # numba would say so much later
                 raise ValueError("NUMBA_NUM_THREADS must be at least 1")

@@ -595,10 +595,11 @@ def _approach(place, speed, i, j, growth, period):
 
 
 @njit(**KERNEL)
-def pairs_about_to_touch(pairs, rows, elapsed, horizon, places):
-    """Note the places of pairs whose gap or overlap is below ``horizon``, µm; return how many.
+def pairs_about_to_touch(pairs, rows, elapsed, room, places):
+    """Note the places of pairs whose gap or overlap is below the sum of the two ``room``, µm.
 
-    The write is unconditional and only the count depends on the test: no branch to mispredict.
+    Returns how many there are. The write is unconditional and only the count depends on the test:
+    no branch to mispredict.
     """
     count = 0
     for c in range(pairs.start.size):
@@ -608,6 +609,7 @@ def pairs_about_to_touch(pairs, rows, elapsed, horizon, places):
             dx, dy, dz = nearest_image(pairs.period, dx, dy, dz)
             reach = rows[i, RADIUS] + rows[j, RADIUS]
             reach -= _begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
+            horizon = room[i] + room[j]
             low, square = max(reach - horizon, 0.0), dx * dx + dy * dy + dz * dz
             places[count] = p
             count += np.int64((square > low * low) & (square < (reach + horizon) ** 2))
@@ -615,28 +617,23 @@ def pairs_about_to_touch(pairs, rows, elapsed, horizon, places):
 
 
 @njit(**KERNEL)
-def missed_contact(
-    cells, pairs, law, rows, places, before, after, speed, end_speed, elapsed, dt, way, tolerance
+def forming_pairs(
+    places, pairs, radius, rate, before, after, speed, end_speed, elapsed, dt, way, tolerance, found
 ):
-    """Return the part of a step to be taken where it misses a contact that forms in it, else 1.
+    """Note those of ``places`` whose pairs come into contact within a step; return how many.
 
     Cells go from ``before`` to ``after`` in ``dt``, with the velocities ``speed`` and
-    ``end_speed``. Of a pair out of contact the overlap without its own force follows from them, and
-    the force that sets in at contact draws the pair further. It is missed if it would do so by more
-    than ``tolerance``, µm, beyond what the step shows. What is slow at first grows fast: the force
-    of JKR rises like h^{3/4}, so that an error estimate sees nothing of a late or passing contact.
-
-    ``places`` are those of :func:`pairs_about_to_touch`: no other pair is looked at. Two cells come
-    closer by at most ``way``.
+    ``end_speed``; two of them come closer by at most ``way``. ``radius`` and ``rate`` are those of
+    :class:`CellData`.
     """
-    part = 1.0
+    count = 0
     for p in places:
         i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
         dx, dy = before[j, 0] - before[i, 0], before[j, 1] - before[i, 1]
         dz = before[j, 2] - before[i, 2]
         dx, dy, dz = nearest_image(pairs.period, dx, dy, dz)
-        reach = cells.radius[i] + cells.radius[j]
-        reach += (cells.radius_rate[i] + cells.radius_rate[j]) * elapsed
+        reach = radius[i] + radius[j]
+        reach += (rate[i] + rate[j]) * elapsed
         reach -= _begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
         square = dx * dx + dy * dy + dz * dz
         if square <= reach * reach or square >= (reach + way) * (reach + way):
@@ -647,9 +644,31 @@ def missed_contact(
         dz -= after[j, 2] - after[i, 2]
         dx, dy, dz = nearest_image(pairs.period, dx, dy, dz)
         closer = 2.0 * math.sqrt(dx * dx + dy * dy + dz * dz) + tolerance
-        closer += (cells.radius_rate[i] + cells.radius_rate[j]) * dt
+        closer += (rate[i] + rate[j]) * dt
         if math.sqrt(square) - reach > closer:
             continue
+        _, _, _, _, nearest = _passage(
+            pairs, p, radius, rate, before, after, speed, end_speed, elapsed, dt
+        )
+        found[count] = p
+        count += np.int64(nearest < 0.0)
+    return count
+
+
+@njit(**KERNEL)
+def missed_contact(
+    cells, pairs, law, rows, places, before, after, speed, end_speed, elapsed, dt, tolerance
+):
+    """Return the part of a step to be taken where it misses a contact that forms in it, else 1.
+
+    ``places`` are those of :func:`forming_pairs`, as are the other arguments. Of a pair out of
+    contact the overlap without its own force follows from them, and the force that sets in at
+    contact draws the pair further. It is missed if it would do so by more than ``tolerance``, µm,
+    beyond what the step shows. What is slow at first grows fast: the force of JKR rises like
+    h^{3/4}, so that an error estimate sees nothing of a late or passing contact.
+    """
+    part = 1.0
+    for p in places:
         taken = _part_taken(
             cells, pairs, p, law, rows, before, after, speed, end_speed, elapsed, dt, tolerance
         )
@@ -663,17 +682,18 @@ def missed_among_all(
 ):
     """Do what :func:`missed_contact` does with all pairs; cells move by ``moved`` of a radius."""
     largest, growth = 0.0, 0.0
-    for i in range(cells.radius.size):
-        largest, growth = max(largest, rows[i, RADIUS]), max(growth, abs(cells.radius_rate[i]))
+    radius, rate = cells.radius, cells.radius_rate
+    for i in range(radius.size):
+        largest, growth = max(largest, rows[i, RADIUS]), max(growth, abs(rate[i]))
     way = 2.0 * (moved * largest + growth * dt)
     places = np.empty(pairs.first.size, dtype=np.int64)
-    count = pairs_about_to_touch(pairs, rows, elapsed, way, places)
-    return missed_contact(
-        cells,
+    count = pairs_about_to_touch(pairs, rows, elapsed, np.full(radius.size, 0.5 * way), places)
+    near, found = places[:count], np.empty(count, dtype=np.int64)
+    count = forming_pairs(
+        near,
         pairs,
-        law,
-        rows,
-        places[:count],
+        radius,
+        rate,
         before,
         after,
         speed,
@@ -682,7 +702,32 @@ def missed_among_all(
         dt,
         way,
         tolerance,
+        found,
     )
+    found = found[:count]
+    return missed_contact(
+        cells, pairs, law, rows, found, before, after, speed, end_speed, elapsed, dt, tolerance
+    )
+
+
+@njit(**INLINED)
+def _passage(pairs, p, radius, rate, before, after, speed, end_speed, elapsed, dt):
+    """Return how two cells pass each other in a step.
+
+    The gap before and the speed at which it narrows, both at the end, and the least gap on the way,
+    µm and µm/s.
+    """
+    i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
+    growth = rate[i] + rate[j]
+    begin = _begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
+    reach = radius[i] + radius[j] + growth * elapsed
+    gap, narrowing = _approach(before, speed, i, j, growth, pairs.period)
+    gap -= reach - begin
+    end, end_narrowing = _approach(after, end_speed, i, j, growth, pairs.period)
+    end -= reach + growth * dt - begin
+    dip = 0.15 * dt * (max(narrowing, 0.0) + max(-end_narrowing, 0.0))
+    nearest = min(min(gap, end) - dip, gap - dt * max(narrowing, end_narrowing))
+    return gap, narrowing, end, end_narrowing, nearest
 
 
 @njit(**INLINED)
@@ -691,17 +736,10 @@ def _part_taken(
 ):
     """Return the part of a step until the contact of one pair is missed, else 1."""
     i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
-    growth = cells.radius_rate[i] + cells.radius_rate[j]
     begin = _begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
-    reach = cells.radius[i] + cells.radius[j] + growth * elapsed
-    gap, narrowing = _approach(before, speed, i, j, growth, pairs.period)
-    gap -= reach - begin
-    end, end_narrowing = _approach(after, end_speed, i, j, growth, pairs.period)
-    end -= reach + growth * dt - begin
-    dip = 0.15 * dt * (max(narrowing, 0.0) + max(-end_narrowing, 0.0))
-    nearest = min(min(gap, end) - dip, gap - dt * max(narrowing, end_narrowing))
-    if nearest >= 0.0:
-        return 1.0
+    gap, narrowing, end, end_narrowing, _ = _passage(
+        pairs, p, cells.radius, cells.radius_rate, before, after, speed, end_speed, elapsed, dt
+    )
     mobility = (1.0 / rows[i, RADIUS] + 1.0 / rows[j, RADIUS]) / law.medium_drag
     least = tolerance / _PARTS
     # a law that acts from afar has some of it before

@@ -14,6 +14,7 @@ they are there in the closed form: exactly, and with the same bits, for every me
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -36,6 +37,11 @@ class Prescribed:
     held: NDArray[np.bool_]
     velocity: FloatArray
     begin: float
+
+    @cached_property
+    def fastest(self) -> float:
+        """Largest speed, µm/s."""
+        return float(np.linalg.norm(self.velocity, axis=1).max(initial=0.0))
 
     def placed(self, time: float, position: FloatArray) -> FloatArray:
         """Return the places at a time of cells that were there at the beginning if held."""

@@ -21,6 +21,7 @@ from multicell.mechanics import blocks, forces, neighbours, pair_values
 from multicell.mechanics.motion import Motion, StateRejected, Work
 from multicell.mechanics.neighbours import NeighbourList, PairList
 from multicell.mechanics.rows import COMPLIANCE, RADIUS
+from multicell.mechanics.watch import ContactWatch
 from multicell.vectors import cubes
 
 if TYPE_CHECKING:
@@ -33,10 +34,6 @@ if TYPE_CHECKING:
 
 _NOTHING = np.empty((0, 0))
 _NO_BLOCKS = np.empty((0, 6))
-_NO_PLACES = np.empty(0, dtype=np.int64)
-_HORIZON, _FAR = 8.0, 0.05
-"""Gap up to which pairs are watched, over the way of two cells in a step, and at most, in the
-largest radius, unless that way is longer."""
 
 
 @final
@@ -175,8 +172,7 @@ class Mechanics:
             motion.push,
         )
         self._linear = None
-        self._watched: tuple[PairList | None, float, NDArray[np.int64]]
-        self._watched = None, 0.0, _NO_PLACES
+        self._watch: ContactWatch | None = None
         self._blocks = self._inverse = _NO_BLOCKS  # few methods use them
         if max(self.friction) > 0.0:
             from multicell.mechanics.friction import PairFriction
@@ -346,37 +342,20 @@ class Mechanics:
         - ``moved``: how far a cell has moved at most, in its radius
         - ``tolerance``: how far attraction may be missed, µm
         """
-        if self.neighbours.pairs is None or not (self.law.snaps or self.motion.bonds is not None):
+        pairs = self.neighbours.pairs
+        if pairs is None or not (self.law.snaps or self.motion.bonds is not None):
             return 1.0
-        elapsed, way = begin - self.motion.begin, 2.0 * moved * self.motion.largest_radius
-        way += 2.0 * self.motion.fastest_growth * (end - begin)
-        pairs, left, places = self._watched
-        left -= way
-        if pairs is not self.neighbours.pairs or left < way:
-            places = np.empty(len(self._pair_data.first), dtype=np.int64)
-            left = max(way, min(_HORIZON * way, _FAR * self.motion.largest_radius))
-            count = forces.pairs_about_to_touch(self._pair_data, self._rows, elapsed, left, places)
-            places, left = places[:count].copy(), left - way
-        self._watched = self.neighbours.pairs, left, places
-        given = self.prescribed
+        given, way = self.prescribed, moved * self.motion.largest_radius
+        way = 2.0 * (way + self.motion.fastest_growth * (end - begin))
         if given is not None:
             before, after = given.placed(begin, before), given.placed(end, after)
             speed, end_speed = speed + given.velocity, end_speed + given.velocity
-        given_arrays = (_frozen(x) for x in (before, after, speed, end_speed))
-        return float(
-            forces.missed_contact(
-                self._cells,
-                self._pair_data,
-                self._law,
-                self._rows,
-                places,
-                *given_arrays,
-                elapsed,
-                end - begin,
-                way,
-                tolerance,
-            )
-        )
+            way += given.fastest * (end - begin)
+        if self._watch is None:
+            self._watch = ContactWatch(self.motion)
+        kernel = self._cells, self._pair_data, self._law, self._rows
+        path = before, after, speed, end_speed
+        return self._watch.missed_contact(pairs, kernel, path, begin, end, way, tolerance)
 
     def setup_preconditioner(self, gamma: float, linear: Linearisation) -> None:
         """Invert the 3 x 3 diagonal blocks of I - γJ, stable part, at the linearisation."""

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.compiling import INLINED, INNER, KERNEL
+from multicell.compiling.threads import Team
 from multicell.nutrient.cartesian import Box
 
 _POINT = 0.01
@@ -48,6 +49,9 @@ _ONE = 1.6
 
 _MOST = 24
 """Boxes along an axis at most: the mean potential of a ball is then right to 3e-4."""
+
+_PART = 10_000
+"""Least number of cells for each thread that shares them."""
 
 _BLOCK = 64
 """Cells whose weights are found together."""
@@ -274,11 +278,12 @@ def _fits(first, number, n):
     return first >= 0.0 and first + number <= n  # nor does this
 
 
-@njit(**KERNEL)
-def _transfer(position, amount, values, density, out, grid, balls, left):
+@njit(**KERNEL, nogil=True)
+def _transfer(position, amount, values, density, out, grid, balls, left, low, high):
     """Spread amounts of cells over the nodes, or, if ``density`` has none, read ``values``.
 
-    Both are flat. Cells of several boxes and those at faces are ``left``; return how many.
+    Both are flat. Cells of several boxes and those at faces are ``left``; return how many. Of the
+    planes across x only those in ``low:high`` are written or read.
     """
     counts, widths, _, _, _, number = balls
     (nx, ny, nz), origin, spacing, flat = grid
@@ -305,14 +310,14 @@ def _transfer(position, amount, values, density, out, grid, balls, left):
         if deepest == 4:
             along_y = weights[1, 0, c], weights[1, 1, c], weights[1, 2, c], weights[1, 3, c]
             along_z = weights[2, 0, c], weights[2, 1, c], weights[2, 2, c], weights[2, 3, c]
-            for i in range(4):
+            for i in range(max(low - i0, 0), min(high - i0, 4)):
                 row, a = ((i0 + i) * ny + j0) * nz + k0, weights[0, i, c]
                 if spread:
                     _add_rows(density, row, nz, a * amount[cell], along_y, along_z)
                 else:
                     total += _read_rows(values, row, nz, a, along_y, along_z)
         else:
-            for i in range(number):
+            for i in range(max(low - i0, 0), min(high - i0, number)):
                 for j in range(number):
                     # unsigned numbers cannot count from the end of an array: no test for that
                     row = np.uint64(((i0 + i) * ny + j0 + j) * nz + k0)
@@ -369,17 +374,60 @@ def _transfer_rest(position, amount, values, density, out, grid, balls, left):
     return -1, sides, ends
 
 
-def _run(points: FloatArray, amount: FloatArray, *arrays: Any) -> tuple[bool, bool]:
+def _run(points: FloatArray, amount: FloatArray, *arrays: Any, threads: int) -> tuple[bool, bool]:
     """Run what is needed of the kernels; refuse positions outside."""
     left = np.empty(len(points), dtype=np.int64)
-    rest = _transfer(points, amount, *arrays, left)
-    if rest == 0:
+    threads = min(threads, len(points) // _PART)
+    if threads > 1:
+        left = _shared(threads, points, amount, *arrays)
+    else:
+        left = left[: _transfer(points, amount, *arrays, left, 0, arrays[3][0][0])]
+    if len(left) == 0:
         return False, False
-    outside, sides, ends = _transfer_rest(points, amount, *arrays, left[:rest])
+    outside, sides, ends = _transfer_rest(points, amount, *arrays, left)
     if outside >= 0:
         place = f"{points[outside]} (row {outside})"
         raise ValueError(f"position {place} lies outside the nutrient grid")
     return sides, ends
+
+
+def _shared(
+    threads: int,
+    points: FloatArray,
+    amount: FloatArray,
+    values: FloatArray,
+    density: FloatArray,
+    out: FloatArray,
+    grid: Any,
+    balls: Any,
+) -> NDArray[np.int64]:
+    """Run the first kernel with several threads; return which cells are left.
+
+    Readers share the cells. Those that spread share the planes across x, each with all cells that
+    reach its own in their order: a node gets the same sum.
+    """
+    counts, widths, *tables, number = balls
+    planes, spread, left = grid[0][0], density.size > 0, []
+    first = np.floor((points[:, 0] - grid[1][0]) / grid[2] - 0.5 * (1.0 + widths))
+
+    def run(begin: int, end: int) -> None:
+        low, high = (begin, end) if spread else (0, planes)
+        if spread:  # the ends also get what lies beyond, and what is no number; all with some room
+            below = (first < low - number - 1) & (low > 0)
+            rows = np.flatnonzero(~(below | ((first > high) & (high < planes))))
+        else:
+            rows = np.arange(begin, end)
+        those = points.take(rows, axis=0), amount.take(rows)
+        made = (counts.take(rows), widths.take(rows), *tables, number)
+        found, rest = np.empty(0 if spread else len(rows)), np.empty(len(rows), dtype=np.int64)
+        count = _transfer(*those, values, density, found, grid, made, rest, low, high)
+        left.append(rows[rest[:count]])
+        if not spread:
+            out[begin:end] = found
+
+    with Team(threads) as team:
+        team.share(run, planes if spread else len(points))
+    return np.unique(np.concatenate(left))
 
 
 _NOTHING = np.empty(0)
@@ -387,35 +435,48 @@ _NOTHING.flags.writeable = False
 
 
 def scatter(
-    box: Box, position: FloatArray, amount: FloatArray, radius: FloatArray | None = None
+    box: Box,
+    position: FloatArray,
+    amount: FloatArray,
+    radius: FloatArray | None = None,
+    threads: int = 1,
 ) -> FloatArray:
     """Spread an amount of each cell, (n,), over the nodes as a density, amount per µm³.
 
     Its sum times the volume of a node is the sum of ``amount``.
 
     - ``position``, (n, 3), and ``radius``, (n,), µm; absent: points
+    - ``threads``: how many may share the work; it changes no result
     """
     points, grid, balls = _placed(box, position, radius)
     amounts = _numbers(amount, len(points), "amount")
     out = np.zeros(box.shape)
     density = out.reshape(-1)
-    _run(points, amounts, _NOTHING, density, density, grid, balls)
+    _run(points, amounts, _NOTHING, density, density, grid, balls, threads=threads)
     out /= box.volume
     return out
 
 
 def gather(
-    box: Box, position: FloatArray, values: FloatArray, radius: FloatArray | None = None
+    box: Box,
+    position: FloatArray,
+    values: FloatArray,
+    radius: FloatArray | None = None,
+    threads: int = 1,
 ) -> FloatArray:
     """Return the means of node values (nx, ny, nz) over the cells, (n,).
 
     They are never outside the range of the nodes at a cell; arguments as for :func:`scatter`.
     """
-    return gathered(box, position, values, radius)[0]
+    return gathered(box, position, values, radius, threads)[0]
 
 
 def gathered(
-    box: Box, position: FloatArray, values: FloatArray, radius: FloatArray | None = None
+    box: Box,
+    position: FloatArray,
+    values: FloatArray,
+    radius: FloatArray | None = None,
+    threads: int = 1,
 ) -> tuple[FloatArray, bool]:
     """Do the same; return also whether any cell is beyond the last nodes."""
     points, grid, balls = _placed(box, position, radius)
@@ -423,7 +484,7 @@ def gathered(
         raise ValueError(f"values has shape {values.shape}, expected {box.shape}")
     out, given = np.empty(len(points)), np.ascontiguousarray(values).reshape(-1)
     given.flags.writeable = False  # as fields are, so that it is compiled once
-    sides, ends = _run(points, out, given, np.empty(0), out, grid, balls)
+    sides, ends = _run(points, out, given, np.empty(0), out, grid, balls, threads=threads)
     return out, sides or (ends and box.height is None)
 
 

@@ -14,6 +14,7 @@ from multicell.nutrient import dense, stencil
 from multicell.nutrient.cartesian import Box
 from multicell.nutrient.dense import Ends, eigenvalues
 from multicell.nutrient.faces import ghost_terms
+from multicell.nutrient.layer import exchanged
 from multicell.nutrient.steady import solve_steady
 
 if TYPE_CHECKING:
@@ -47,6 +48,9 @@ class Diffusion:
       absent: one everywhere. At faces between nodes it is the harmonic mean, for which the flow is
       continuous where the coefficient jumps.
 
+    - ``exchange``, (nx, ny, nz), optional: rate of exchange over D/h² with a medium of ``level`` mM
+      (:mod:`multicell.nutrient.layer`)
+
     - ``volumes``, float, µm³: of each node
     - ``ghost``, (6,): factors of the faces x-, x+, y-, y+, z-, z+
     - ``const``, (6,), mM: what the conditions add
@@ -65,6 +69,8 @@ class Diffusion:
         boundary: float | Mapping[str, Any],
         *,
         varied: FloatArray | None = None,
+        exchange: FloatArray | None = None,
+        level: float = 0.0,
     ) -> None:
         self.dimensions = 3 if box.height is None else 2
         self.shape, self.spacing, self.volumes = box.shape, box.spacing, box.volume
@@ -85,6 +91,18 @@ class Diffusion:
                 for axis, repeats in enumerate(self._repeats)
             )
             self.weights = (wx, wy, wz)
+        self.level = float(level)
+        self.set_exchange(exchange)
+
+    def set_exchange(self, exchange: FloatArray | None) -> None:
+        """Take other rates of exchange with the medium, over D/h² of each node."""
+        self.exchange: FloatArray | None = None
+        self.largest_exchange = 0.0
+        if exchange is not None:
+            if self.varied is not None:
+                exchange = exchange * self.varied
+            self.exchange = self.stiffness * exchange
+            self.largest_exchange = float(self.exchange.max())
 
     def set_boundary(self, boundary: float | Mapping[str, Any]) -> None:
         """Take other conditions on the faces."""
@@ -109,10 +127,14 @@ class Diffusion:
             self.multigrid, before.multigrid = before.multigrid, None
 
     def flows(self, c: FloatArray) -> tuple[float, float]:
-        """Return the flows in and out through the faces, amol/s."""
+        """Return the flows in and out through the faces and to the medium, amol/s."""
         inward, outward = stencil.flows(c, self.ghost, self.const, self.weights)
         scale = self.stiffness * self.volumes
-        return scale * inward, scale * outward
+        inward, outward = scale * inward, scale * outward
+        if self.exchange is not None:
+            gained, given = exchanged(self.exchange, c, self.level)
+            inward, outward = inward + self.volumes * gained, outward + self.volumes * given
+        return inward, outward
 
     solve = solve_steady
 
@@ -128,6 +150,17 @@ class Diffusion:
         spectrum = _transform(y, self.kinds, inverse=False)
         product = stencil.divide_spectrum(spectrum, ax, ay, az, shift)
         return _transform(spectrum, self.kinds, inverse=True), product
+
+    def near_inverse(self, r: FloatArray, shift: FloatArray) -> FloatArray:
+        """Return about (-D L0 + shift)⁻¹ r, with ``shift`` (1/s) at the nodes.
+
+        ``shift`` holds the exchange with the medium, which is taken out of its mean.
+        """
+        if self.exchange is None:
+            return np.asarray(self.invert(r, float(shift.mean()))[0])
+        scale = 1.0 / np.sqrt(1.0 + 0.5 / self.stiffness * self.exchange)
+        mean = float((shift - self.exchange).mean())
+        return np.asarray(scale * self.invert(scale * r, mean)[0])
 
     def to_modes(self, values: FloatArray) -> FloatArray:
         """Return values of the nodes as parts of the Laplacian's modes, in their memory.

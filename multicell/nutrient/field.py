@@ -50,7 +50,9 @@ class NutrientField:
     """One substance that diffuses, is taken up and secreted by cells, and decays.
 
     The faces of its grid lie at ``margin`` from the outermost centres of the tissue: a layer of
-    medium without convection lies round it, always as thick as that. Cells that have left the
+    medium without convection lies round it, always as thick as that there. Towards the corners it
+    ends inside of the grid where the parameters' ``margin_shape`` is that of the tissue
+    (:mod:`multicell.nutrient.layer`). Cells that have left the
     tissue (:mod:`multicell.nutrient.tissue`) do not move the faces; beyond them they find the
     medium, and take up and give off at the nearest point of the grid, whose account has it. With a
     ``domain`` the faces lie on its sides, and stay there.
@@ -225,7 +227,7 @@ class NutrientField:
 
     def restore(self, field: Field, time: float = 0.0) -> None:
         """Take layout and values of a field from a frame of a time in s."""
-        self._layout, values = layouts.restored(field)
+        self._layout, values = layouts.restored(field, self.threads)
         values.flags.writeable = False
         self.values = values
         self._conditions = self.parameters.conditions(self._layout, self.level(time))
@@ -264,18 +266,39 @@ class NutrientField:
         if radial:
             if strays:
                 tissue = cells.once(drawn_to_ball, tissue, radius)
-            widths = p.nutrient.margin, p.spacing, p.nutrient.layer
+            widths = p.nutrient.margin, p.spacing, p.nutrient.layer, p.follows_tissue
             shells = cells.once(ShellLayout.round, tissue, radius, *widths)
             outside = tissue is not position
             return shells, False, cells.once(shells.nearest, position) if outside else position
         height = p.height if p.dimensions == 2 else None
         if p.domain is None:
-            found = BoxLayout.round(tissue, p.nutrient.margin, p.spacing, height)
+            margin = p.nutrient.margin
+            if p.follows_tissue:
+                from multicell.nutrient.layer import farthest_end
+
+                margin = farthest_end(radius, margin)
+            found = BoxLayout.round(tissue, margin, p.spacing, height, self.threads)
         else:
-            found = BoxLayout.within(p.domain, p.spacing, height)
+            found = BoxLayout.within(p.domain, p.spacing, height, self.threads)
         same = self._layout is not None and found == self._layout
         reached = position if tissue is position else found.nearest(position)
         return (self.layout, True, reached) if same else (found, False, reached)
+
+    def exchange(self, layout: Layout, cells: Tissue) -> FloatArray | None:
+        """Return the rates of exchange with the medium by which the layer round the tissue ends.
+
+        None where it ends at the sides of the grid, as on shells. See
+        :func:`multicell.nutrient.layer.exchange_beyond`.
+        """
+        if not self.parameters.follows_tissue or not isinstance(layout, BoxLayout):
+            return None
+        from multicell.nutrient.layer import exchange_beyond
+
+        position, radius = cells.position, cells.radius
+        tissue = cells.once(drawn_in, position, radius)
+        margin = self.parameters.nutrient.margin
+        found = cells.once(exchange_beyond, layout.box, tissue, position, radius, margin)
+        return np.asarray(found)
 
     def take(self, layout: Layout, values: FloatArray, conditions: dict[str, Any]) -> None:
         """Take a solution with the conditions on its sides."""

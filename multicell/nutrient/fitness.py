@@ -13,6 +13,8 @@ from multicell.nutrient.field import NutrientField
 from multicell.nutrient.grid import ShellLayout, equivalent_ball_radius
 from multicell.nutrient.tissue import drawn_in, drawn_to_ball
 from multicell.scene import domain
+from multicell.scene.scales import MAX_UNEVEN
+from multicell.vectors import lengths, second_moments, weighted_mean
 
 if TYPE_CHECKING:
     from multicell.cells import Cells, FloatArray
@@ -55,6 +57,7 @@ def fitness(
         if error is not None:
             fields[name]["discretisation_error"] = error
         if not shells:
+            notes += _direction_notes(field, cells, field.level(time))
             continue
         departed = departure(cells.position, cells.radius)
         fields[name]["departure_from_a_ball"] = departed
@@ -86,6 +89,49 @@ def _rate_layer(
             f"The tissue reaches farther from its middle than the layer of {name}: shells "
             f"reach to its end, and the layer is {found:.3g} um instead of {wanted:.3g} um."
         )
+
+
+_AXIS, _DIAGONAL = 0.95, 0.5
+"""Least largest component of a direction along an axis; least second one between axes."""
+
+_MIN_CELLS = 10  # that are compared along axes, and between them
+
+
+def _direction_notes(field: NutrientField, cells: Cells, level: float) -> list[str]:
+    """Return a remark where round tissue finds more along the axes of its grid than between them.
+
+    What is compared are means over the outermost cells, beyond their scatter.
+    """
+    axes, size = field.parameters.dimensions, len(cells)
+    if field.parameters.domain is not None or size < 2 * _MIN_CELLS or not level > 0.0:
+        return []
+    away = cells.position - weighted_mean(cells.position, cells.volume)
+    moments = second_moments(away, cells.volume)[:axes, :axes] / cells.volume.sum()
+    roots = np.sqrt(np.linalg.eigvalsh(moments))
+    if not roots[0] >= (1.0 - ROUND) * roots[-1] > 0.0:
+        return []
+    distance = lengths(away)
+    surface = np.sqrt((axes + 2) / axes * np.trace(moments))
+    outer = distance > surface - 2.0 * float(cells.radius.max())
+    direction = np.sort(np.abs(away / np.maximum(distance, 1e-9)[:, None]), axis=1)
+    found = field.sample(cells.position, cells.radius)
+    along = found[outer & (direction[:, 2] > _AXIS)]
+    between = found[outer & (direction[:, 1] > _DIAGONAL)]
+    if min(len(along), len(between)) < _MIN_CELLS:
+        return []
+    scatter = np.sqrt(along.var() / len(along) + between.var() / len(between))
+    uneven = abs(float(along.mean() - between.mean()))
+    if uneven <= MAX_UNEVEN * level + 2.0 * scatter:
+        return []
+    remedy = f"with nutrients.{field.name}.margin_shape = 'tissue' the medium has no corners."
+    if field.parameters.follows_tissue:
+        remedy = "a smaller spacing makes less of it."
+    elif not field.parameters.open_medium:
+        remedy = "the medium begins at the sides of a box."
+    return [
+        f"{field.name} differs by {uneven / level:.1%} of the medium between the surface along the "
+        f"axes of its grid and along the diagonals, though the tissue is round: {remedy}"
+    ]
 
 
 _SAFETY = 1.25

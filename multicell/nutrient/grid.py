@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from dataclasses import field as part_of_data
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -46,24 +47,35 @@ series of sines).
 @final
 @dataclass(frozen=True)
 class BoxLayout:
-    """A box of cubes, or a plane of squares, round the cells."""
+    """A box of cubes, or a plane of squares, round the cells.
+
+    - ``threads``: how many may share the loops over many cells; it changes no result
+    """
 
     box: Box
+    threads: int = part_of_data(default=1, compare=False)
     kind = "box"
 
     @classmethod
     def round(
-        cls, position: FloatArray, margin: float, spacing: float, height: float | None
+        cls,
+        position: FloatArray,
+        margin: float,
+        spacing: float,
+        height: float | None,
+        threads: int = 1,
     ) -> BoxLayout:
         """Lay it ``margin`` beyond the outermost cells; flat where ``height`` is given."""
         low, high = extent(position, margin)
-        return cls(lay(low, high, spacing, height))
+        return cls(lay(low, high, spacing, height), threads)
 
     @classmethod
-    def within(cls, domain: Domain, spacing: float, height: float | None) -> BoxLayout:
+    def within(
+        cls, domain: Domain, spacing: float, height: float | None, threads: int = 1
+    ) -> BoxLayout:
         """Lay it on a box that stands still, the faces on its sides."""
         low, high = (np.array(corner) for corner in domain.corners())
-        return cls(fill(low, high, spacing, height, domain.repeats))
+        return cls(fill(low, high, spacing, height, domain.repeats), threads)
 
     @property
     def spacing(self) -> float:
@@ -109,9 +121,9 @@ class BoxLayout:
     ) -> FloatArray:
         """Spread amounts of the cells, (n,), over the nodes as densities; absent radii: points."""
         if not self._repeats:
-            return balls.scatter(self.box, position, amount, radius)
+            return balls.scatter(self.box, position, amount, radius, self.threads)
         wider, layers = self._unrolled(self._reach(radius))
-        density = balls.scatter(wider.box, self._inside(position), amount, radius)
+        density = balls.scatter(wider.box, self._inside(position), amount, radius, self.threads)
         for axis, more in enumerate(layers):
             if more:
                 n, v = self.box.shape[axis], np.moveaxis(density, axis, 0)
@@ -127,7 +139,7 @@ class BoxLayout:
         if self._repeats:
             wider, layers = self._unrolled(self._reach(radius))
             return wider.gather(self._inside(position), _wrapped(values, layers), radius)
-        return balls.gather(self.box, position, values, radius)
+        return balls.gather(self.box, position, values, radius, self.threads)
 
     def read(
         self,
@@ -141,7 +153,7 @@ class BoxLayout:
             wider, ends = self._unrolled(self._reach(radius))
             unrolled = _wrapped(values, ends)
             return wider.read(self._inside(position), unrolled, conditions, radius)
-        found, some = balls.gathered(self.box, position, values, radius)
+        found, some = balls.gathered(self.box, position, values, radius, self.threads)
         if some:
             widest = 0.0 if radius is None else float(radius.max()) / self.spacing
             near, layers = self._nearer_than(widest + 0.5, position), math.ceil(widest + 0.5)
@@ -186,7 +198,7 @@ class BoxLayout:
         layers = tuple(more if repeats else 0 for repeats in box.repeats)
         x, y, z = (o - m * h for o, m in zip(box.origin, layers, strict=True))
         nx, ny, nz = (n + 2 * m for n, m in zip(box.shape, layers, strict=True))
-        return BoxLayout(Box((x, y, z), (nx, ny, nz), h, box.height)), layers
+        return BoxLayout(Box((x, y, z), (nx, ny, nz), h, box.height), self.threads), layers
 
     def _inside(self, position: FloatArray) -> FloatArray:
         """Return the images of positions (n, 3) that lie in the box, along axes that repeat."""
@@ -317,22 +329,28 @@ class ShellLayout:
         margin: float,
         spacing: float,
         layer: float | None = None,
+        follows: bool = False,
     ) -> ShellLayout:
         """Lay it ``margin`` or more beyond the outermost cell; ``spacing`` is adapted.
 
         Its surface is that of the ball which lets as much through to its middle as the cube
         that would be laid round the same cells: how a tissue is fed does not depend on the
-        geometry of the grid. With a ``layer`` the surface lies so far beyond the tissue's,
-        that of the ball with the same radius of gyration, or where the outermost centre is if
-        that is farther.
+        geometry of the grid. Where the layer ``follows`` the tissue it is where it ends on that
+        (:mod:`multicell.nutrient.layer`), in the mean over directions. With a ``layer`` the
+        surface lies so far beyond the tissue's, that of the ball with the same radius of gyration,
+        or where the outermost centre is if that is farther.
         """
         if len(position) == 0:
-            return cls.to(np.zeros(3), margin if layer is None else layer, spacing)
+            return cls.to(np.zeros(3), (margin or spacing) if layer is None else layer, spacing)
         if not np.isfinite(position).all():
             extent(position, margin)  # raises with words
         centre = weighted_mean(position, cubes(radius))
         outermost = float(np.sqrt(squares(position - centre).max()))
-        if layer is None:
+        if layer is None and follows:
+            from multicell.nutrient.layer import mean_end
+
+            outer = max(mean_end(position - centre, radius, margin), outermost)
+        elif layer is None:
             low, high = extent(position, margin)
             outer = max(outermost + margin, _CUBE * 0.5 * float((high - low).mean()))
         else:
@@ -508,7 +526,7 @@ def tissue_share(layout: Layout, position: FloatArray, radius: FloatArray) -> Fl
     return np.asarray(np.minimum(filling / _TISSUE, 1.0))
 
 
-def restored(field: Field) -> tuple[Layout, FloatArray]:
+def restored(field: Field, threads: int = 1) -> tuple[Layout, FloatArray]:
     """Return the layout and the values of a field from a frame, bit for bit."""
     values = np.array(field.values, dtype=float)
     if field.kind == "radial":
@@ -516,6 +534,5 @@ def restored(field: Field) -> tuple[Layout, FloatArray]:
         return ShellLayout(np.array(field.origin), float(field.spacing), count), values.ravel()
     a, b, c = (float(x) for x in field.origin)
     nx, ny, nz = values.shape
-    return BoxLayout(
-        Box((a, b, c), (nx, ny, nz), float(field.spacing), field.height or None, field.repeats)
-    ), values
+    box = Box((a, b, c), (nx, ny, nz), float(field.spacing), field.height or None, field.repeats)
+    return BoxLayout(box, threads), values

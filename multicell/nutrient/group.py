@@ -150,7 +150,7 @@ class FieldGroup:
         strays = all(f.parameters.open_medium for f in fields)
         self.layout, self._kept, self.position = self.first.lay(tissue, strays=strays)
         self.radius = reaching(tissue.position, self.position, tissue.extent)
-        self._set_equation(tissue.radius, demand)
+        self._set_equation(tissue.radius, demand, self.first.exchange(self.layout, tissue))
         self.nodes = np.array([self._first(f, time, carry) for f in fields])
         self.state = self.equation.view(self.nodes)
 
@@ -260,7 +260,9 @@ class FieldGroup:
         rows = zip(self.names, amounts, relaid.tolist(), strict=True)
         return {name: self._exchange(row, relaid=more) for name, row, more in rows}
 
-    def _set_equation(self, radius: FloatArray, demand: Demand) -> None:
+    def _set_equation(
+        self, radius: FloatArray, demand: Demand, exchange: FloatArray | None
+    ) -> None:
         """Make the equation on the layout with the cells there; the last one stays if it holds.
 
         A layout of the same kind that follows the tissue leaves what it is made of as it was.
@@ -274,10 +276,12 @@ class FieldGroup:
             for f in fields:
                 if f.well_mixed is not None:
                     self.equation.substances[f.name].follow(f.well_mixed.concentration)
-            self.equation.place(layout, position, demand, self.radius)
+            self.equation.place(layout, position, demand, self.radius, exchange)
             return
         substances = {
-            f.name: substance(f.parameters, layout, position, radius, demand[f.name], f.schedule)
+            f.name: substance(
+                f.parameters, layout, position, radius, demand[f.name], f.schedule, exchange
+            )
             for f in fields
         }
         self.equation = FieldEquation(
@@ -302,8 +306,12 @@ def substance(
     radius: FloatArray,
     demand: tuple[FloatArray, FloatArray | None],
     medium: float | Schedule,
+    exchange: FloatArray | None,
 ) -> Substance:
-    """Return a field of a scene as a substance on a grid, with cells of these radii in µm."""
+    """Return a field of a scene as a substance on a grid, with cells of these radii in µm.
+
+    - ``exchange``: with the medium, see :meth:`multicell.nutrient.field.NutrientField.exchange`
+    """
     nutrient = parameters.nutrient
 
     def conditions(level: float) -> dict[str, Any]:
@@ -321,6 +329,7 @@ def substance(
         capacity=capacity,
         production=production,
         varied=varied,
+        exchange=exchange,
         decay=nutrient.decay,
         perfusion=nutrient.perfusion,
     )

@@ -224,10 +224,11 @@ class MultigridSolver:
         for level in self._hierarchy.levels:
             level.join(team)
 
-    def solve(self, rate: Floats, residual: Floats, size: float, goal: float) -> Float32Array:
+    def solve(self, rate: Floats, residual: Floats, size: float, goal: float) -> Floats:
         """Solve (-D L0 + rate) x = residual to ``goal``, a share of ``size``, the residual's norm.
 
-        To :data:`FINEST` at best. The result lives until the next solve.
+        To :data:`FINEST` at best, in the precision of ``residual``. The result lives until the next
+        solve.
         """
         self._begin(rate, residual, size)
         x, r, p, q = self._x, self._r, self._p, self._q
@@ -238,7 +239,10 @@ class MultigridSolver:
         for _ in range(MAX_CG):
             level.share_light(kernels.direct, p, z, np.float32(beta))
             level.share(kernels.apply_planes, p, level.rate, level.along, level.weights, q, parts)
-            alpha = rho / float(parts.sum())
+            curvature = float(parts.sum())
+            if not curvature > 0.0 or rho == 0.0:  # single precision has no smaller numbers
+                break
+            alpha = rho / curvature
             level.share_light(kernels.update_residual_planes, np.float32(alpha), x, p, r, q, parts)
             self.cg += 1
             if not float(parts.sum()) > max(goal, FINEST) ** 2:
@@ -247,8 +251,11 @@ class MultigridSolver:
             following, change = self._products(z)
             beta, rho = -alpha * change / rho, following
         self.newton += 1
-        x *= np.float32(size / self.operator.stiffness)
-        return x.reshape(self.operator.shape)
+        shape, scale = self.operator.shape, size / self.operator.stiffness
+        if residual.dtype == np.float64:  # nor has a correction that is far below one
+            return np.asarray(x.reshape(shape), dtype=np.float64) * scale
+        x *= np.float32(scale)
+        return x.reshape(shape)
 
     def _begin(self, rate: Floats, residual: Floats, size: float) -> None:
         """Take a system, divided by D/h² and by the size of its right-hand side."""

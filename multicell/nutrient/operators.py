@@ -42,6 +42,8 @@ def source_imbalance(
         linear,
         operator.ghost,
         operator.weights,
+        operator.exchange,
+        operator.level,
         out,
         slope,
     )
@@ -89,6 +91,8 @@ def lifted(
             linear,
             operator.ghost,
             operator.weights,
+            operator.exchange,
+            operator.level,
             np.inf,
             most,
         )

@@ -64,6 +64,11 @@ class FieldParameters:
         nutrient = self.nutrient
         return self.domain is None and not nutrient.sides and nutrient.finite_medium is None
 
+    @property
+    def follows_tissue(self) -> bool:
+        """Whether the medium begins at one distance from the tissue, and not where a grid ends."""
+        return self.nutrient.margin_shape == "tissue"
+
     @cached_property
     def schedule(self) -> Schedule:
         """The medium over time, as the scene has it."""

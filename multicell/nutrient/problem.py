@@ -14,7 +14,7 @@ from multicell.nutrient.fields import FieldSystem
 from multicell.nutrient.grid import restored, tissue_share
 from multicell.nutrient.group import substance
 from multicell.nutrient.parameters import FieldParameters
-from multicell.nutrient.tissue import reaching
+from multicell.nutrient.tissue import Tissue, reaching
 from multicell.scene.dependences import solving_order
 
 if TYPE_CHECKING:
@@ -69,7 +69,8 @@ def field_problem(
         Of any run of it; it may be one that was read from a file.
     fields
         Names of the fields that are wanted; absent: all. They must share a grid, as fields with
-        the same spacing, margin and geometry do, and hold all that one of them reacts with.
+        the same spacing, margin, its shape and geometry do, and hold all that one of them reacts
+        with.
     reactions
         Of the user's own that the run was started with.
 
@@ -91,7 +92,9 @@ def field_problem(
         parameters = FieldParameters.of(scene, name)
         medium = _medium(parameters, frame, name)
         demand = system.demand(name, cells, frame.concentrations, taken)
-        substances[name] = substance(parameters, layout, position, cells.radius, demand, medium)
+        exchange = system.fields[name].exchange(layout, Tissue(cells.position, cells.radius))
+        about = layout, position, cells.radius, demand, medium, exchange
+        substances[name] = substance(parameters, *about)
     equation = FieldEquation(
         together.grid,
         substances,

@@ -6,7 +6,8 @@ entering through ghost values: py-pde's, by a test), the steady state solves
     F(c) = -D L c + m c + q c / (K + c) - s = 0
 
 with the largest uptake per volume q >= 0 and a supply s >= 0 at each node, and a rate m >= 0:
-decay, exchange with a flow, and the 1/dt of an implicit step in time.
+decay, exchange with a flow, and the 1/dt of an implicit step in time. Where the layer of medium
+round a tissue ends (:mod:`multicell.nutrient.layer`) m is larger, from node to node, and s too.
 
 **No concentration is negative.** -D L is an M-matrix (for values
 and slopes that supply alike), uptake is diagonal and vanishes with c: the solution satisfies
@@ -29,7 +30,8 @@ and the search accepts them in full.
 with the preconditioner S (-D L0 + d0)^-1 S: sine and cosine transforms invert the middle exactly,
 and the diagonal S = (w + d h^2 / 2 D)^-1/2 takes care of nodes where uptake is faster than
 diffusion, and of a coefficient w D that differs from place to place. On :data:`MULTIGRID_NODES`
-nodes and more a V-cycle of multigrid takes its place (:mod:`multicell.nutrient.multigrid`).
+nodes and more, and where a layer of medium ends inside of the grid, which transforms know nothing
+of, a V-cycle of multigrid takes its place (:mod:`multicell.nutrient.multigrid`).
 """
 
 from __future__ import annotations
@@ -78,6 +80,9 @@ MAX_SWEEPS = 1000  # over the nodes below zero; one to three are usual
 
 MULTIGRID_NODES = 50_000
 """Nodes from which on multigrid takes the place of transforms; see :mod:`.multigrid`."""
+
+MAX_SINGLE = 1e5
+"""Largest rate of uptake over D/h² at which multigrid, in single precision, is sure to help."""
 
 KEPT_NODES = 1_000_000
 """Nodes from which on the arrays of multigrid are kept for the next solve.
@@ -135,12 +140,18 @@ def solve_steady(
     - ``tolerance``: on :data:`MULTIGRID_NODES` and more, see :data:`BALANCE_TOLERANCE`
     """
     nodes = math.prod(operator.shape)
+    few = nodes < MULTIGRID_NODES
     # the levels of multigrid have ends: where space repeats transforms serve at any size
-    if nodes < MULTIGRID_NODES or None in operator.kinds:
+    repeats = None in operator.kinds
+    if few or repeats:
         problem = _Problem(operator, sink, half_saturation, linear, supply, None)
-        return _solve(problem, start, _Linear(operator))
+        quickest = float(sink.max(initial=0.0)) / (half_saturation * operator.stiffness)
+        if operator.exchange is None or repeats or quickest > MAX_SINGLE:
+            return _solve(problem, start, _Linear(operator))
     from multicell.nutrient.multigrid import MultigridSolver
 
+    if few:  # with imbalances in double precision, which have no least size to speak of
+        return _solve(problem, start, MultigridSolver(operator, Team()))
     with Team(max(1, min(operator.threads, nodes // stencil.PART))) as team:
         problem = _Problem(operator, sink, half_saturation, linear, supply, team, tolerance)
         solver = operator.multigrid
@@ -158,9 +169,9 @@ def _solve(
     if not np.count_nonzero(problem.source):
         # nothing comes in: what iterations from elsewhere would leave is rounding, of either sign
         start = np.zeros_like(start, dtype=np.float64)
-    state, done = _newton(
-        _State(problem, np.array(start, dtype=np.float64)), problem.tolerance, solver
-    )
+    first = np.array(start, dtype=np.float64)
+    problem.balance_ends(first)
+    state, done = _newton(_State(problem, first), problem.tolerance, solver)
     if not done and np.isfinite(state.size):
         state, done = _descend(problem, start, solver)
     if done and not state.lift():
@@ -233,6 +244,14 @@ class _Problem:
         faces = self.operator.brought()
         self.source = faces if self.supply is None else faces + self.supply
 
+    def balance_ends(self, c: FloatArray) -> None:
+        """Improve a guess where a layer of medium ends; see :func:`.stencil.balance_ends`."""
+        op = self.operator
+        if op.exchange is None:
+            return
+        about = self.sink, self.source, self.half, op.stiffness, self.linear, op.ghost, op.weights
+        stencil.balance_ends(c, *about, op.exchange, op.level, op.largest_exchange)
+
 
 @final
 class _State:
@@ -258,6 +277,8 @@ class _State:
             problem.linear,
             op.ghost,
             op.weights,
+            op.exchange,
+            op.level,
             self.residual,
             self.rate,
             problem.team,
@@ -300,6 +321,8 @@ class _State:
             problem.linear,
             op.ghost,
             op.weights,
+            op.exchange,
+            op.level,
             self.uncertainty(),
             MAX_SWEEPS,
         )
@@ -316,8 +339,9 @@ class _State:
         """
         problem, varied = self.problem, self.problem.operator.varied
         most = 1.0 if varied is None else float(varied.max())
-        # the largest rate of a node, 1/s, but for the uptake's
+        # a sixth of the largest rate of a node, 1/s, but for the uptake's
         quick = problem.operator.stiffness * max(most, 1.0) + problem.linear / 6.0
+        quick += problem.operator.largest_exchange / 6.0
         rounding = 8.0 * sys.float_info.epsilon * quick * self.norm
         total = self.total
         if problem.tolerance > BALANCE_TOLERANCE:

@@ -8,7 +8,8 @@ gives -1 and a slope 1. A test holds the stencil against py-pde's own operator.
 
 Where the coefficient of diffusion differs from place to place, ``weights`` holds it at all faces
 across x, y and z, relative to that of tissue: (nx + 1, ny, nz), (nx, ny + 1, nz), (nx, ny, nz + 1).
-Else it is None, and what it needs is not compiled. ``ghost`` is (6,), ``stiffness`` D/h² in 1/s.
+Else it is None, and what it needs is not compiled. So is ``exchange``, (nx, ny, nz) 1/s, the rate
+at which nodes exchange with a medium of ``level`` mM. ``ghost`` is (6,), ``stiffness`` D/h² in 1/s.
 """
 
 from __future__ import annotations
@@ -183,6 +184,8 @@ def write_imbalance(
     linear: float,
     ghost: FloatArray,
     weights: Weights,
+    exchange: FloatArray | None,
+    level: float,
     residual: Floats,
     rate: Floats,
     team: Team | None = None,
@@ -198,7 +201,7 @@ def write_imbalance(
     the planes, of each plane first.
     """
     planes = len(c)
-    law = sink, source, half, stiffness, linear, ghost, weights
+    law = sink, source, half, stiffness, linear, ghost, weights, exchange, level
     if team is None:
         parts = np.empty((5, 1))
         imbalance_of_planes(0, planes, c, *law, residual, rate, parts, planes)
@@ -221,6 +224,8 @@ def imbalance_of_planes(
     linear: float,
     ghost: FloatArray,
     weights: Weights,
+    exchange: FloatArray | None,
+    level: float,
     residual: Floats,
     rate: Floats,
     parts: FloatArray,
@@ -256,6 +261,12 @@ def imbalance_of_planes(
                 slopes[k] = slope + linear
                 sinks[k] = spent
                 changes[k] = outward + (slope + linear) * v
+            if exchange is not None:
+                pull = exchange[i, j]
+                for k in range(nz):  # the difference is exact, which two products are not
+                    row[k] += pull[k] * (level - e[k])
+                    left[k], slopes[k] = row[k], slopes[k] + pull[k]
+                    changes[k] += pull[k] * e[k]
             for k in range(nz):
                 squares += row[k] * row[k]
                 total += sinks[k]
@@ -277,6 +288,8 @@ def balance_negative(
     linear: float,
     ghost: FloatArray,
     weights: Weights,
+    exchange: FloatArray | None,
+    level: float,
     zero: float,
     most: int,
 ) -> int:
@@ -287,7 +300,7 @@ def balance_negative(
     no more than ``zero`` (mM) are taken as empty before. Return how many are below zero after at
     most ``most`` sweeps.
     """
-    nx, ny, nz = c.shape
+    _, ny, nz = c.shape
     below = np.flatnonzero(c.ravel() < 0.0)
     values = c.ravel()
     for n in below:
@@ -304,23 +317,72 @@ def balance_negative(
             if sweep > 0 and c[i, j, k] >= 0.0:
                 continue
             gain, loss = source[i, j, k], linear
-            for face in range(6):
-                w = _weight(weights, face, i, j, k)
-                side = 2 * (face % 2) - 1
-                a = i + side if face // 2 == 0 else i
-                b = j + side if face // 2 == 1 else j
-                d = k + side if face // 2 == 2 else k
-                if ghost[face] == REPEATS:
-                    a, b, d = a % nx, b % ny, d % nz
-                if 0 <= a < nx and 0 <= b < ny and 0 <= d < nz:
-                    gain += stiffness * w * c[a, b, d]
-                    loss += stiffness * w
-                else:
-                    loss += stiffness * w * (1.0 - ghost[face])
-            v = balanced(gain, loss, sink[i, j, k], half)
+            if exchange is not None:
+                gain, loss = gain + level * exchange[i, j, k], loss + exchange[i, j, k]
+            more, other = _diffusing(c, stiffness, ghost, weights, i, j, k)
+            v = balanced(gain + more, loss + other, sink[i, j, k], half)
             c[i, j, k] = v
             left += v < 0.0
     return left
+
+
+@_inner
+def _diffusing(
+    c: FloatArray, stiffness: float, ghost: FloatArray, weights: Weights, i: int, j: int, k: int
+) -> tuple[float, float]:
+    """Return the gain of a node by diffusion, mM/s, and its loss for each mM, 1/s."""
+    nx, ny, nz = c.shape
+    gain = loss = 0.0
+    for face in range(6):
+        w = _weight(weights, face, i, j, k)
+        side = 2 * (face % 2) - 1
+        a = i + side if face // 2 == 0 else i
+        b = j + side if face // 2 == 1 else j
+        d = k + side if face // 2 == 2 else k
+        if ghost[face] == REPEATS:
+            a, b, d = a % nx, b % ny, d % nz
+        if 0 <= a < nx and 0 <= b < ny and 0 <= d < nz:
+            gain += stiffness * w * c[a, b, d]
+            loss += stiffness * w
+        else:
+            loss += stiffness * w * (1.0 - ghost[face])
+    return gain, loss
+
+
+@_jit
+def balance_ends(
+    c: FloatArray,
+    sink: FloatArray,
+    source: FloatArray,
+    half: float,
+    stiffness: float,
+    linear: float,
+    ghost: FloatArray,
+    weights: Weights,
+    exchange: FloatArray,
+    level: float,
+    held: float,
+) -> None:
+    """Bring nodes at which a layer ends to their own balance, one after the other, as a guess.
+
+    They are those that exchange with the medium at less than ``held`` (1/s). Their rates change
+    with every move of a cell, and nothing else in a field does so fast.
+    """
+    nx, ny, nz = c.shape
+    for i in range(nx):
+        for j in range(ny):
+            pull, e = exchange[i, j], c[i, j]
+            edge = i == 0 or i == nx - 1 or j == 0 or j == ny - 1
+            for k in range(nz):
+                if not 0.0 < pull[k] < held:
+                    continue
+                if edge or k == 0 or k == nz - 1 or weights is not None:
+                    gain, loss = _diffusing(c, stiffness, ghost, weights, i, j, k)
+                else:
+                    across = (c[i - 1, j, k] + c[i + 1, j, k]) + (c[i, j - 1, k] + c[i, j + 1, k])
+                    gain, loss = stiffness * (across + (e[k - 1] + e[k + 1])), 6.0 * stiffness
+                gain, loss = gain + source[i, j, k] + level * pull[k], loss + linear + pull[k]
+                e[k] = balanced(gain, loss, sink[i, j, k], half)
 
 
 @_jit

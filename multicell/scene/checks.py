@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from multicell.cells import Phase
 from multicell.contact.law import effective_modulus
@@ -25,7 +25,7 @@ from multicell.scene.scales import (
     repeating,
     touches_medium,
 )
-from multicell.scene.sizes import division_radius, radius_scales
+from multicell.scene.sizes import division_radius, internal_step, radius_scales
 from multicell.schema import leaves, near_miss, separated
 
 if TYPE_CHECKING:
@@ -96,6 +96,27 @@ def check_towards(scene: Scene) -> None:
     if towards and towards not in scene.nutrients:
         problem = f"is {towards!r}, which is not {FIELD_HINT}"
         raise SceneError("motility.towards", problem, near_miss(towards, scene.nutrients))
+
+
+_MOST_INTERNAL: Final = 1e6
+"""Internal steps of diffusion in a coupling step: a quarter of an hour for few cells."""
+
+
+def check_diffusion(scene: Scene) -> None:
+    """Raise ``SceneError`` where diffusion has more internal steps than a run would end."""
+    law = scene.motility
+    axes = set("xyz"[: scene.dimensions])
+    walled = scene.domain is not None and set(scene.domain.periodic) != axes
+    # without contacts and walls the path is followed exactly
+    if law is None or law.diffusion is None or not (scene.contact.acts or walled):
+        return
+    step = internal_step(scene)
+    if scene.coupling_step > _MOST_INTERNAL * step:
+        key = "diffusion" if law.diffusion_step is None else "diffusion_step"
+        steps = scene.coupling_step / step
+        problem = f"has {steps:.2g} internal steps in a coupling step, more than a million"
+        hint = "Shorten coupling_step, or lengthen motility.diffusion_step."
+        raise SceneError(f"motility.{key}", problem, hint)
 
 
 def check_flat(scene: Scene) -> None:
@@ -238,7 +259,7 @@ def check_nutrients(scene: Scene) -> None:
             raise SceneError(f"{path}.media", problem)
         _check_finite(scene, path, nutrient)
         check_solver(scene, name)
-        _check_layer(path, nutrient)
+        _check_layer(scene, path, nutrient)
         if scene.box is not None:
             _check_in_domain(scene, name)
     solving_order(scene.nutrients, scene.reactions, scene.responses)
@@ -376,13 +397,24 @@ def _check_finite(scene: Scene, path: str, nutrient: Nutrient) -> None:
             raise SceneError(f"{path}.finite_medium.volume", problem, hint)
 
 
-def _check_layer(path: str, nutrient: Nutrient) -> None:
-    """Check that a layer lies round shells: only there it is as thick everywhere."""
+def _check_layer(scene: Scene, path: str, nutrient: Nutrient) -> None:
+    """Check that a layer lies round shells, and that a margin with a shape has an effect."""
+    if nutrient.margin_shape == "tissue":
+        other = {
+            "domain": scene.box is not None,
+            f"{path}.sides": bool(nutrient.sides),
+            f"{path}.finite_medium": nutrient.finite_medium is not None,
+            f"{path}.layer": nutrient.layer is not None,
+        }
+        for key, given in other.items():
+            if given:
+                problem = f"is 'tissue', but {key} states where the medium begins"
+                raise SceneError(f"{path}.margin_shape", problem, "Leave out one of them.")
     if nutrient.layer is not None and nutrient.geometry != "radial":
         problem = f"has no meaning with geometry = '{nutrient.layout}'"
         hint = (
-            "The layer of a ball needs geometry = 'radial'; a grid of cubes has its faces at "
-            "'margin' from the outermost centres, farther at the corners."
+            "The layer of a ball needs geometry = 'radial'; with margin_shape = 'tissue' that of "
+            "any tissue is as thick as 'margin' everywhere."
         )
         raise SceneError(f"{path}.layer", problem, hint)
 
@@ -437,6 +469,7 @@ def _check_in_domain(scene: Scene, name: str) -> None:
 
 _SHARED = (
     "margin",
+    "margin_shape",
     "layer",
     "height",
     "initial",

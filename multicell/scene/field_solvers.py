@@ -44,6 +44,12 @@ _LIMITS: Final = {
 _EULER: Final = 2.0  # the interval of explicit Euler, for all others
 _SHARE: Final = 0.5  # of the limit that is taken: explicit Euler then keeps concentrations positive
 
+HELD_RATE: Final = 20.0
+"""Rate of exchange with the medium, over D/h², of a node beyond the layer of medium round a tissue,
+and the largest of one at its end. About a twentieth of the difference across a spacing is left
+between such a node and the medium, as if the layer ended by so much of a spacing later. Larger
+rates lose more digits of the account, and let explicit solvers take more steps."""
+
 _OWN_STEPS: Final = ("scipy", "multicell-implicit")
 """Solvers that choose their steps by a tolerance."""
 
@@ -61,7 +67,11 @@ def expected_step(scene: Scene, name: str) -> float:
     nutrient = scene.nutrients[name]
     size = SPHERE * typical_radius(scene) ** 3
     uptake = float(nutrient.largest_uptake(size)) / size / nutrient.half_saturation
-    diffusion = 4.0 * scene.dimensions * nutrient.diffusion / largest_spacing(scene, name) ** 2
+    diffusion = 4.0 * scene.dimensions
+    # of a layer that ends inside of the grid, multicell.nutrient.layer
+    shells = nutrient.layout == "radial" and scene.dimensions == 3
+    diffusion += HELD_RATE if nutrient.margin_shape == "tissue" and not shells else 0.0
+    diffusion *= nutrient.diffusion / largest_spacing(scene, name) ** 2
     return longest_step(nutrient.solver, diffusion + nutrient.decay + nutrient.perfusion + uptake)
 
 

@@ -300,9 +300,15 @@ class Nutrient:
     )
     margin: float = _thickness(
         default=50.0,
-        above=0,
+        at_least=0,
         doc="thickness of the unstirred layer of medium round the tissue, beyond which stirred "
         "medium has its own concentration; no meaning in a domain, or where layer is given",
+    )
+    margin_shape: str = choice(
+        ["box", "tissue"],
+        default="box",
+        doc="stirred medium begins at the sides of a box, margin from the outermost cells, or "
+        "everywhere margin from the nearest cell: with margin = 0 at the cells' surfaces",
     )
     layer: float | None = _thickness(
         above=0,
@@ -352,6 +358,10 @@ class Nutrient:
             hint = "uptake is that of a cell whatever its size; remove one of them."
             raise SceneError("uptake_per_volume", problem, hint)
         check_order(self.necrosis, self.quiescence, "mM", "necrosis")
+        if self.margin == 0.0 and self.margin_shape == "box" and self.layer is None:
+            problem = "is 0 um, so the medium would begin in the middle of the outermost cells"
+            hint = "With margin_shape = 'tissue' it begins at their surfaces."
+            raise SceneError("margin", problem, hint)
         if self.initial_formula:
             check_formula(self.initial_formula, "initial_formula")
         self._check_beginning()

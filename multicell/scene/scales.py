@@ -22,6 +22,10 @@ _SETTLED = 1.0
 _POINTS = 5.0
 """Spacings in the diffusion length where the grid is chosen for the user."""
 
+MAX_UNEVEN = 0.01
+"""Difference of concentrations at the surface of round tissue along axes and along diagonals, over
+that of the medium, from which on it is reported."""
+
 MAX_NODES = 256**3
 """Largest grid that is ever laid: an array of it takes 128 MiB, a solve about fifteen of them."""
 
@@ -127,6 +131,14 @@ def tissue_radius(scene: Scene) -> float:
         doublings = min(scene.duration / scene.growth.mean_cycle, 60.0)
         cells = min(cells * 2.0**doublings, float(scene.stop_cells or 1e6))
     return float(typical_radius(scene) * cells ** (1.0 / scene.dimensions))
+
+
+def layer_reach(scene: Scene, name: str, radius: float) -> float:
+    """Return how far the margin reaches from the middle of a ball (disc) of tissue, both in µm.
+
+    It is counted from the outermost centres of cells.
+    """
+    return max(radius - typical_radius(scene), 0.0) + scene.nutrients[name].margin
 
 
 def layer_height(scene: Scene, name: str) -> float:

@@ -26,6 +26,7 @@ from multicell.plugins.laws import OwnLaw
 from multicell.plugins.named import OWN_OBJECT
 from multicell.scene.bare import note_written
 from multicell.scene.checks import (
+    check_diffusion,
     check_flat,
     check_method,
     check_nutrients,
@@ -203,6 +204,7 @@ class Scene:
         check_types(self)
         check_method(self)
         check_towards(self)
+        check_diffusion(self)
         if self.networks:
             check_networks(self, check_signal)
         if self.responses:

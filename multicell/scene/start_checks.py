@@ -35,14 +35,15 @@ def check_start_table(scene: Scene) -> None:
     """Raise ``DataError`` with row and column for cells that cannot start in a scene."""
     assert scene.initial.cells is not None
     given = scene.initial.cells.given
+    period = _period(scene)
     if scene.contact.acts:
-        refuse_coinciding(given, near=False)
+        refuse_coinciding(given, period, near=False)
     _check_axes(scene, given)
     kinds_of(scene, given)
     _check_phases(scene, given)
     _check_sizes(scene, given)
     if scene.contact.acts:  # by radii that can be: a giant's centre is near to all
-        refuse_coinciding(given, near=True)
+        refuse_coinciding(given, period, near=True)
     _check_places(scene, given)
     _check_inside(scene, given)
 
@@ -55,7 +56,14 @@ def deep_overlaps(scene: Scene) -> int:
     assert scene.initial.cells is not None
     given = scene.initial.cells.given
     newborn = HALF * _division_radii(scene, given)
-    return len(near_pairs(given, 0.5, newborn if newborn.ndim else birth_radius(scene)))
+    usual = newborn if newborn.ndim else birth_radius(scene)
+    return len(near_pairs(given, 0.5, usual, _period(scene)))
+
+
+def _period(scene: Scene) -> FloatArray | None:
+    """Return the period of a scene's domain; None also of one that lacks a side: it is refused."""
+    period = None if scene.domain is None else scene.domain.period
+    return period if period is not None and np.isfinite(period).all() else None
 
 
 def _division_radii(scene: Scene, given: Given) -> FloatArray:

@@ -37,6 +37,7 @@ from multicell.tables.columns import PARQUET, Columns, from_bytes, from_h5ad, fr
 from multicell.tables.text import read_bytes
 from multicell.tables.titles import Title, read_title, titled, unknown_title
 from multicell.units import RANGES, shown
+from multicell.vectors import lengths, nearest_differences, wrapped
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -404,13 +405,18 @@ def normalise(source: Columns) -> Given:
     return Given({**made, "kind": codes} if kinds else made, kinds, source, titles)
 
 
-def refuse_coinciding(given: Given, *, near: bool) -> None:
+def refuse_coinciding(given: Given, period: FloatArray | None, *, near: bool) -> None:
     """Refuse two cells at one place: between them no force has a direction.
 
-    ``near``: at places that differ by less than a small part of their radii, which are known to be
-    those of cells; else at exactly the same one.
+    - ``period``: as in :func:`near_pairs`
+    - ``near``: at places that differ by less than a small part of their radii, which are known to
+      be those of cells; else at exactly the same one
     """
-    pairs = near_pairs(given, _COINCIDING, 0.5) if near else _same_places(positions(given))
+    if near:
+        pairs = near_pairs(given, _COINCIDING, 0.5, period)
+    else:
+        place = positions(given)
+        pairs = _same_places(place if period is None else wrapped(place, period))
     if len(pairs):
         first, second = sorted(pairs[np.lexsort(pairs.T)][0].tolist())
         other = given.place(first).removeprefix(f"{given.source.name}, ")
@@ -431,27 +437,36 @@ def _same_places(place: FloatArray) -> NDArray[np.int64]:
     return np.stack([earliest[later], later], axis=1)
 
 
-def near_pairs(given: Given, part: float, usual_radius: float | FloatArray) -> NDArray[np.int64]:
+def near_pairs(
+    given: Given, part: float, usual_radius: float | FloatArray, period: FloatArray | None
+) -> NDArray[np.int64]:
     """Return the pairs (m, 2) of cells nearer than a part of the sum of their radii.
 
-    ``usual_radius``, µm, one or (n,), is that of cells in a table without radii. They are counted
-    before they are listed; ``DataError`` for more than a run could work with.
+    They are counted before they are listed; ``DataError`` for more than a run could work with.
+
+    - ``usual_radius``, µm, one or (n,): of cells in a table without radii
+    - ``period``, (3,) µm: lengths after which space repeats, zero where it does not; None: nowhere
     """
     from scipy.spatial import KDTree
 
-    place = positions(given)
+    place = positions(given) if period is None else wrapped(positions(given), period)
     radius = given.columns.get("radius", np.full(len(given), usual_radius))
-    tree, distance = KDTree(place), 2.0 * part * float(radius.max())
+    tree, distance = KDTree(place, boxsize=period), 2.0 * part * float(radius.max())
     most = _CROWDED * len(place) + 10**5
     if (tree.count_neighbors(tree, distance) - len(place)) // 2 <= most:
         pairs = tree.query_pairs(distance, output_type="ndarray")
-        apart = np.linalg.norm(place[pairs[:, 0]] - place[pairs[:, 1]], axis=1)
+        first, second = pairs.T
+        apart = lengths(nearest_differences(place[first], place[second], period))
         return np.asarray(pairs[apart < part * radius[pairs].sum(axis=1)])
     if radius.max() > 2.0 * radius.min():  # a few large cells among small ones, perhaps
         from multicell.mechanics import neighbours  # loads numba
 
         with suppress(neighbours.TooManyPairsError):
-            found = neighbours.build(np.ascontiguousarray(place), part * radius, 0.0)
+            wide = part * radius
+            if period is None:
+                found = neighbours.build(np.ascontiguousarray(place), wide, 0.0)
+            else:
+                found = neighbours.build_periodic(place, wide, period)
             if len(found) <= most:
                 return found.pairs().astype(np.int64)
     problem = f"has {len(place):,} cells of which more than {most:,} pairs lie on top of each other"

@@ -192,11 +192,15 @@ def flag(*, default: Any = MISSING, doc: str = "") -> Any:
 
 
 def names(options: Iterable[str], *, doc: str = "") -> Any:
-    """Declare a list of names out of several, by default none."""
+    """Declare a list of names out of several, none twice, by default none."""
     known = tuple(options)
 
     def convert(value: object, path: str) -> tuple[str, ...]:
-        return _each(value, path, one, "names", sizes=range(10**9))
+        found = _each(value, path, one, "names", sizes=range(10**9))
+        for name in found:
+            if found.count(name) > 1:
+                raise SceneError(path, f"names {name!r} twice")
+        return found
 
     def one(name: object, path: str) -> str:
         return chosen(name, known, path)

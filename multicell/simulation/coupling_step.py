@@ -27,6 +27,7 @@ from multicell.biology.step import age_cells, bind_changed, decide, divide_and_r
 from multicell.biology.surface import check_surface_held
 from multicell.biology.waiting import watched
 from multicell.cells import contact_rows, rows_before
+from multicell.compiling.threads import share_rows
 from multicell.mechanics import neighbours
 from multicell.simulation.passages import Passed, after_conditions
 from multicell.simulation.run_state import RunState
@@ -98,7 +99,9 @@ def next_state(run: Machinery, state: RunState) -> RunState:
         # a jump changes nothing of the step that it ends
         here = run.signals(cells, passed.contacts, end)
         growth = growth_factor(plan, here, cells.pressure, cells)
-        lag = lag_after(plan, state.cells, factor, cells, growth, end - begin)
+        exposure = lived.exposure
+        row = vars(exposure).get("row") if exposure.cells.id is cells.id else None
+        lag = lag_after(plan, state.cells, factor, cells, growth, end - begin, row)
         cells = cells.changed(lag=lag)
     lap("biology")
     return RunState(
@@ -191,7 +194,9 @@ def _after_events(
     aged, lost = age_cells(plan, state.cells, grown, here, begin, end)
     aged = aged.changed(position=moved.position, pressure=moved.pressure)
     here = run.signals(aged, contacts, end)
-    after = divide_and_remove(plan, aged, first, end, end - begin, here, grown.factor)
+    threads = run.mover.system.threads
+    share = partial(share_rows, threads) if threads > 1 else None
+    after = divide_and_remove(plan, aged, first, end, end - begin, here, grown.factor, share)
     cells, lineage, named = after.cells, state.lineage, state.named
     unsorted = state.unsorted + after.next_id - first + after.removals
     if after.next_id > first or after.removals:
@@ -200,7 +205,7 @@ def _after_events(
         if len(contacts):
             contacts = cells.id[contact_rows(cells, contacts)]
         contacts = with_newborn(plan, cells, contacts, first)
-    cells, unsorted = sorted_in_space(cells, unsorted, run.mover.system.period)
+    cells, unsorted = sorted_in_space(cells, unsorted, run.mover.system.period, threads)
     released = state.released + lost + after.released
     return _People(
         cells, contacts, lineage, named, after.next_id, unsorted, after.removals, released
@@ -208,7 +213,7 @@ def _after_events(
 
 
 def sorted_in_space(
-    cells: Cells, unsorted: int, period: FloatArray | None = None
+    cells: Cells, unsorted: int, period: FloatArray | None = None, threads: int = 1
 ) -> tuple[Cells, int]:
     """Return cells sorted in space where many are new, and how many are since the last sorting.
 
@@ -218,7 +223,8 @@ def sorted_in_space(
         return cells, unsorted
     width = 2.0 * float(cells.radius.max(initial=1.0))
     place = cells.position if period is None else wrapped(cells.position, period)
-    return cells.take(neighbours.spatial_order(place, width)), 0
+    order = neighbours.spatial_order(place, width, threads)
+    return cells.take(order, partial(share_rows, threads) if threads > 1 else None), 0
 
 
 @final

@@ -96,9 +96,19 @@ class Mover:
         return moved._replace(replays=replays)
 
     def _integrate(
-        self, ids: IntArray, position: FloatArray, motion: Motion, known: Stability | None
+        self,
+        ids: IntArray,
+        position: FloatArray,
+        motion: Motion,
+        known: Stability | None,
+        *,
+        is_last: bool = True,
     ) -> tuple[Moved, FloatArray, float]:
-        """Integrate a motion; return it without replays, where the method got, and its cost."""
+        """Integrate a motion; return it without replays, where the method got, and its cost.
+
+        - ``is_last``: else another one follows in the coupling step, and nobody reads the pressure,
+          nor contacts but for laws that ask who touched
+        """
         system, end = self.system, motion.end
         system.begin(motion)
         known = self._check_begin(position, known)
@@ -109,8 +119,9 @@ class Mover:
             raise StepFailed(outcome.time, outcome.problem, outcome.hint, cell)
         placed = system.at_end(outcome.position)
         check_inside(self._domain, ids, placed, end)
-        pressure = system.pressure(end, outcome.position)
-        contacts = system.contacts(end, outcome.position) if self._counts else None
+        pressure = system.pressure(end, outcome.position) if is_last else np.zeros(len(ids))
+        counts = self._counts and (is_last or motion.touching is not None)
+        contacts = system.contacts(end, outcome.position) if counts else None
         cost = float((system.work.effort - before) * len(ids))
         known = self._check_end(outcome.position, cost, known)
         return Moved(placed, pressure, contacts, None, known), outcome.position, cost
@@ -133,9 +144,10 @@ class Mover:
         scale = np.sqrt(2.0 * diffusion)[:, None]
         for begin, end in pairwise(times):
             part = motion.part(begin, end, self.system.drag, scale * next(moves), touching)
-            moved, _, _ = self._integrate(cells.id, position, part, known)
-            position, known = moved.position, moved.stability
-            touching = moved.contacts if motion.touching is not None else None
+            moved, _, _ = self._integrate(
+                cells.id, position, part, known, is_last=end == motion.end
+            )
+            position, known, touching = moved.position, moved.stability, moved.contacts
         return moved._replace(replays=replays)
 
     def _drifted(

@@ -126,6 +126,7 @@ def test_types_that_switch_are_a_markov_chain():
     assert within(int((cells.kind == 1).sum()), 2000, share)
 
 
+@pytest.mark.slow
 def test_mutants_are_those_of_luria_and_delbruck():
     """Without back mutation P(0) = exp(-μ (N - N0)) and the mean is μ N log2(N/N0), near enough."""
     chance, cultures = 0.004, 60

@@ -55,6 +55,7 @@ def ramp(step, ligand):
     return cells.position[np.argsort(cells.id)], cells
 
 
+@pytest.mark.slow
 def test_ligands_that_ramp_to_zero_within_one_step():
     """One coupling step with rates ends where 600 short ones with nearly constant values do."""
     position, cells = ramp("10 min", [[0, 0.9], ["10 min", 0.0]])
@@ -66,6 +67,7 @@ def test_ligands_that_ramp_to_zero_within_one_step():
     assert (cells.receptor == 0.9).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "step"), [(Cvode(1e-8, 1e-7), 2.0), (Cvode(1e-8, 1e-7), 0.5), (Euler(0.0005), 2.0)]
 )

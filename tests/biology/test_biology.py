@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial import cKDTree
 
+import multicell as mc
 from multicell.biology.division import divide
 from multicell.biology.draws import scatter_about
 from multicell.biology.growth import growth_factor, volumes_after
@@ -395,3 +396,29 @@ def test_lysed_cells_are_removed_below_the_fraction_of_the_birth_volume() -> Non
     assert removed == 1
     assert left.id.tolist() == cells.id[1:].tolist()
     assert remove_lysed(biology_plan(make_scene(death=None)), cells) == (cells, 0)
+
+
+@pytest.mark.parametrize("swelling", [1.0, 1.5])
+def test_cells_that_are_lysed_in_a_small_part_of_a_step_are_gone_at_its_end(swelling):
+    """They have a radius until then, so that their neighbours know where and how large they are."""
+    left = []
+    for lysis in ("1 s", "2 min"):
+        scene = mc.load_scene("spheroid").with_changes(
+            {
+                "duration": "1 h",
+                "initial.count": 300,
+                "coupling_step": "15 min",
+                "nutrients.oxygen.boundary": "0.02 mM",
+                "nutrients.oxygen.necrosis": "0.0145 mM",
+                "death.lysis_time": lysis,
+                "death.swelling": swelling,
+                "death.swelling_time": "10 s",
+            }
+        )
+        result = mc.run(scene, report=False)
+        summary, cells = result.summary(), result.frames[-1].cells
+        assert all(np.isfinite(getattr(cells, name)).all() for name in ("position", "pressure"))
+        left.append((len(cells), summary["removals"]))
+        assert summary["ledger"]["relative_remainder"] < 1e-9
+    assert left[0][1] > 20
+    assert left[0] == left[1]

@@ -218,6 +218,7 @@ def waiting(kind, other, scale):
     }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "scale"), [("resting", 1e6), ("hasty", 0.1)])
 def test_cells_that_change_divide_at_the_rate_of_their_new_type(kind, scale):
     """They leave the phase at k = 0.0005/min whatever they were: 50 e^(kt) cells, a Yule process.

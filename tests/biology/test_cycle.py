@@ -186,6 +186,7 @@ STARVED = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dt", [HOUR, 5 * HOUR])
 def test_necrosis_may_be_a_rate(dt):
     """Where all starve survivors fall as exp(-kt) at any step; at once where no rate is given."""

@@ -33,7 +33,7 @@ def deaths(scene):
     return np.where(np.isnan(times), np.inf, times)
 
 
-@pytest.mark.sample("0.7-5 h", "1.0-1 h")
+@pytest.mark.slow
 @pytest.mark.parametrize(("variation", "dt"), [(0.25, "15 min"), (0.7, "5 h"), (1.0, "1 h")])
 def test_survival_is_that_of_the_tolerances(variation, dt):
     """In a constant field times of death are gamma variates of mean T."""
@@ -47,6 +47,7 @@ def test_survival_is_that_of_the_tolerances(variation, dt):
     assert (np.abs(dead - expected) < allowed).all()
 
 
+@pytest.mark.slow
 def test_the_step_does_not_matter():
     """Each cell dies at the same time, whatever the length."""
     death = {"damage_time": "30 h", "damage_variation": 0.5}

@@ -307,6 +307,7 @@ def test_failures_of_an_own_law_name_its_line():
         mc.growth_law(parameters={})(broken)()
 
 
+@pytest.mark.slow
 def test_a_scene_on_disk_runs_no_file_and_the_command_line_does(tmp_path):
     with pytest.raises(mc.SceneError, match="which is not loaded") as caught:
         mc.load_scene("growth").with_changes({"growth.law": "mine.py:other@0123456789ab"})

@@ -146,6 +146,7 @@ def test_a_full_bias_goes_straight_and_none_keeps_the_bits(renewal):
     np.testing.assert_array_equal(active_force(biology_plan(plain), cells, 5000.0), exact)
 
 
+@pytest.mark.slow
 def test_random_moments_are_a_poisson_process():
     """Times between changes are exponential, with the polarisation time as their mean.
 
@@ -170,6 +171,7 @@ def test_random_moments_are_a_poisson_process():
     np.testing.assert_array_equal(again, found[-50:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("renewal", ["regular", "random"])
 def test_free_cells_drift_and_spread_as_the_closed_forms_say(renewal):
     """Drift v <d>, and spread of independent runs of length τ (or exponential ones, twice that)."""

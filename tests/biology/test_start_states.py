@@ -204,6 +204,7 @@ def test_products_that_kill_are_no_reason_to_search_for_ever():
     assert simulation.first_states["unfit"] == (c[state != State.NECROTIC] > 2e-2).sum()
 
 
+@pytest.mark.slow
 def test_a_resumed_run_knows_its_start(tmp_path):
     scene = mc.load_scene("spheroid").with_changes(
         {"initial.count": 5000, "duration": "20 min", "output.every": "10 min"}

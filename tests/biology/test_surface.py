@@ -92,6 +92,7 @@ def _occupied(cells, shells=3, points=100_000):
     return [inside[far // (radius / shells) == k].mean() for k in range(shells)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("n", "low"), [(2000, 0.8), (6000, 0.9)])
 def test_virial_of_the_surface_is_laplaces_pressure(n, low):
     """A pressure p on a ball has the virial -3 p V, with p = 2γ/R that is -8πγR²."""

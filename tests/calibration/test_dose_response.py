@@ -150,6 +150,7 @@ def test_independent_drugs_have_no_bliss_excess():
     assert excess == pytest.approx([0.0] * 25, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_intervals_of_independent_drugs_cover_no_excess(monkeypatch):
     monkeypatch.setattr(room, "RESAMPLES", 100)
     inside = []
@@ -266,6 +267,7 @@ def test_the_dose_of_a_schedule_takes_the_place_of_each_concentration_above_zero
     assert all(level == 0.0 for _, level in plan.study.scenes[0].nutrients["drug"].media)
 
 
+@pytest.mark.slow
 def test_a_study_through_the_command(tmp_path, here):
     """Growth at the rate of cycles over 1 + c/K: half of four times is left where c = K, 1 uM."""
     (tmp_path / "colony.toml").write_text(COLONY.to_toml())
@@ -361,6 +363,7 @@ def test_runs_that_the_machine_has_stopped_are_its_failure(
         assert said[0].endswith(reason)
 
 
+@pytest.mark.slow
 def test_the_command_of_measured_data(tmp_path):
     table = mc.dose_response(data=grid(lambda a, b: hill(a + b, ONE), 0.02))
     (tmp_path / "data.csv").write_text(table.to_csv())

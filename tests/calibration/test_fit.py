@@ -126,6 +126,7 @@ def test_the_fit_recovers_what_made_the_data_within_its_intervals(example):
     assert found.undetermined == []
 
 
+@pytest.mark.slow
 def test_the_folder_holds_all_and_the_same_fit_runs_nothing_again(example, monkeypatch):
     module, folder, found = example
     monkeypatch.setattr(SceneSimulator, "__call__", None)
@@ -144,6 +145,7 @@ def test_the_folder_holds_all_and_the_same_fit_runs_nothing_again(example, monke
     assert titles == "cycle_time / s,division_radius / um,weight"
 
 
+@pytest.mark.slow
 def test_a_folder_of_another_fit_is_refused(example):
     module, folder, _ = example
     changed = module.setup().with_changes({"seed": 77})
@@ -267,6 +269,7 @@ def test_too_few_points_tell_a_best_one_and_no_intervals():
     assert found.summary()["parameters"]["toy.p0"]["interval"] is None
 
 
+@pytest.mark.slow
 def test_the_command_fits_and_says_what_is_open(tmp_path):
     (tmp_path / "growth.csv").write_text("time / h, cells\n10, 7\n20, 9\n")
     arguments = [

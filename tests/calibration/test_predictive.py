@@ -16,6 +16,7 @@ from multicell.calibration.fitting.predictive import Predictive
 VALUES = [0.45, 0.6, 1.0, -0.2]
 
 
+@pytest.mark.slow
 def test_criteria_and_scores_of_a_linear_model_are_those_of_closed_forms():
     noise = 0.05 * np.random.default_rng(4).standard_normal(16)
     data = 4 * VALUES + noise

@@ -86,6 +86,7 @@ def shrunk(problem):
     return after @ (precision @ mean + more @ [PULL.loc, 0.0]), after
 
 
+@pytest.mark.slow
 def test_a_normal_prior_shrinks_the_posterior_as_in_closed_form():
     problem = linear(MATRIX, [0.45, 0.6, 1.0, -0.2], 0.05)
     mean, covariance = shrunk(problem)

@@ -83,6 +83,7 @@ def test_few_runs_are_refused(line):
         line.check_profile("p1", repeats=2)
 
 
+@pytest.mark.slow
 def test_the_command_checks_the_ends(line, monkeypatch):
     monkeypatch.setattr("multicell.calibration.fitting.stored.load_fit", lambda folder: line)
     command = ["profile", "fit", "--check", "--repeats", "4", "--cores", "1"]

@@ -146,6 +146,7 @@ def analysis(tmp_path_factory):
         return asked(folder, FREE, seeds=2), folder
 
 
+@pytest.mark.slow
 def test_the_diameter_of_one_cell_depends_on_its_size_alone(analysis):
     result, _ = analysis
     # a young cell has half the volume of one that divides
@@ -254,6 +255,7 @@ def command(folder, *more):
     )
 
 
+@pytest.mark.slow
 def test_the_command_writes_tables_pictures_and_a_page(tmp_path, here):
     done = command(tmp_path, "--seeds", "2", "--observable", "diameter", "--json")
     assert done.exit_code == 0, done.output
@@ -273,6 +275,7 @@ def test_the_command_writes_tables_pictures_and_a_page(tmp_path, here):
     assert "http" not in html.replace("http-equiv", "")
 
 
+@pytest.mark.slow
 def test_the_command_takes_an_observable_of_the_users_own_and_tells_the_table(tmp_path, here):
     file = tmp_path / "mine.py"
     file.write_text(
@@ -341,6 +344,7 @@ def test_salib_is_loaded_for_analyses_only():
     assert set(done.stdout.split()) == {"False"}
 
 
+@pytest.mark.slow
 def test_numbers_are_those_of_this_analysis_with_and_without_a_page(tmp_path, here):
     out = tmp_path / "out"
     sizes = []
@@ -356,6 +360,7 @@ def test_numbers_are_those_of_this_analysis_with_and_without_a_page(tmp_path, he
     assert sizes == [4, 8, 8]
 
 
+@pytest.mark.slow
 def test_numbers_are_there_before_a_page_that_cannot_be_written(tmp_path, here, monkeypatch):
     from multicell.calibration.sensitivity import page
 

@@ -196,6 +196,7 @@ def _specimens(truth, rng, *, same):
     return rows
 
 
+@pytest.mark.slow
 @pytest.mark.harness
 @pytest.mark.parametrize("same", [False, True])
 def test_intervals_cover_with_scatter_that_data_show(same, request):
@@ -238,6 +239,7 @@ def small(geometry):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("geometry", ["box", "radial"])
 def test_a_profile_is_the_mean_of_the_field_over_a_sphere(geometry):
     scene = small(geometry)
@@ -320,6 +322,7 @@ class Decaying:
         return Reading(tuple(0.2 * math.exp(-x / length) for x in self.depths))
 
 
+@pytest.mark.slow
 def test_a_fit_to_a_profile_finds_the_length_over_which_it_falls():
     depths, rng = np.linspace(5.0, 95.0, 10), np.random.default_rng(2)
     values = 0.2 * np.exp(-depths / 60.0) * (1.0 + 0.05 * rng.standard_normal(10))

@@ -99,7 +99,7 @@ def as_asked(folder, **more):
     return mc.fit(SCENE, DATA, FREE, output=folder, **{**FEW, **more})
 
 
-@pytest.mark.sample("scene.toml-edited", "data.csv-emptied")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "way"),
     [("scene.toml", "edited"), ("scene.toml", "removed"), ("data.csv", "emptied"),

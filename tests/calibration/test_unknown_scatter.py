@@ -36,6 +36,7 @@ def regression(problem, level):
     return best, np.stack([best - reach, best + reach]), s, freedom
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stated", [0.01, 0.5])
 def test_intervals_are_those_of_linear_regression_whatever_is_stated(stated):
     problem = line(stated)
@@ -60,6 +61,7 @@ def test_intervals_are_those_of_linear_regression_whatever_is_stated(stated):
     assert np.median(found.posterior["scatter_force_toy_x"]) == pytest.approx(size.median, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_profile_of_unknown_scatter_is_that_of_students_distribution():
     problem = line(0.01)
     profile = fitted(problem).profile("p1")

@@ -132,6 +132,7 @@ def test_no_is_an_answer(folder, monkeypatch):
     assert "Nothing has run." in answer.output
 
 
+@pytest.mark.slow
 def test_the_whole_chain(folder):
     vary = ["--vary=cells.young=1,2 kPa"]
     assert call("new", "growth", "-o", folder, *SET, *vary).exit_code == 0
@@ -155,6 +156,7 @@ def test_the_whole_chain(folder):
     assert [os.path.exists(file) for file in files] == [True] * 3
 
 
+@pytest.mark.slow
 def test_a_run_that_fails_is_told_with_its_reason(folder):
     few = [*SET, "--set=integrator.max_steps=1", "--set=integrator=cvode", "--seeds", 1]
     assert call("new", "growth", "-o", folder, *few, "--vary=cells.young=1,2 kPa").exit_code == 0
@@ -170,6 +172,7 @@ def test_a_run_that_fails_is_told_with_its_reason(folder):
     assert call("report", folder).exit_code == 0
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_ctrl_c_says_how_to_go_on(folder):
     slow = ["--set=duration=30 d", "--set=stop_cells=3000", "--seeds", 2]

@@ -175,7 +175,7 @@ def compiled(tmp_path_factory):
     return cache
 
 
-@pytest.mark.sample("owner-nbi", "mode-nbc", "link-nbi")
+@pytest.mark.slow
 @as_root
 @pytest.mark.parametrize("ending", ["nbi", "nbc"])
 @pytest.mark.parametrize("how", ["owner", "mode", "link"])

@@ -141,6 +141,7 @@ def test_runs_print_in_ascii(tmp_path):
     assert "not empty" in shown
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not FULL.exists(), reason="there is no device that is always full")
 @pytest.mark.parametrize("arguments", [COMMANDS[0], *COMMANDS[-2:]], ids=" ".join)
 def test_full_output_ends_with_one_line(arguments):
@@ -178,6 +179,7 @@ def test_a_pipe_that_nobody_reads_ends_quietly(arguments):
     assert done.stderr == b""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("closed", [(1,), (0, 1, 2)])
 def test_closed_streams_do_not_reach_the_results(closed, tmp_path):
     """A file that is opened next must not become standard output for C libraries."""

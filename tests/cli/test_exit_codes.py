@@ -39,6 +39,7 @@ def test_done():
     assert code("scenes")[0] == ExitCode.DONE
 
 
+@pytest.mark.slow
 def test_failed(tmp_path):
     never = ["--set", "integrator=cvode", "--set", "integrator.max_steps=1"]
     assert code("run", "settle", "-o", tmp_path / "o", *never)[0] == ExitCode.FAILED

@@ -106,6 +106,7 @@ WRONG_BODIES = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_no_body_makes_the_server_tell_its_secret(tmp_path):
     with served(tmp_path) as (process, address):
         for body in WRONG_BODIES.values():

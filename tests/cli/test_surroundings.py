@@ -95,6 +95,7 @@ def test_workers_in_a_hostile_folder_run_nothing_of_it(hostile):
     assert not (hostile / "RAN").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="folders have no owners here")
 def test_compiled_code_is_kept_where_nobody_else_can_put_some(tmp_path):
     shared = tmp_path / "shared"
@@ -108,6 +109,23 @@ def test_compiled_code_is_kept_where_nobody_else_can_put_some(tmp_path):
     assert list(shared.iterdir()) == []
     assert done.stderr.count("others can write to") == 1
     assert list((tmp_path / "own" / "multicell").iterdir())
+
+
+def test_a_module_that_is_read_when_a_press_comes_leaves_no_words(tmp_path):
+    """Files that an exception leaves open while numba's settings load llvmlite are no words."""
+    code = (
+        "import sys, multicell\n"
+        "class Cut:\n"
+        "    def find_spec(self, name, path, target=None):\n"
+        "        if name.startswith('llvmlite'):\n"
+        "            seen.append(name), open(sys.executable, 'rb')\n"
+        "seen = []\n"
+        "sys.meta_path.insert(0, Cut())\n"
+        "import numba\n"
+        "print('llvmlite.binding' in seen)"
+    )
+    done = python(tmp_path, "-c", code, PYTHONWARNINGS=None)
+    assert (done.stdout, done.stderr) == ("True\n", "")
 
 
 VARIABLES = {

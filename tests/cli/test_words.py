@@ -81,6 +81,7 @@ def _study_in_a_pool(_):
         return str(error)
 
 
+@pytest.mark.slow
 def test_a_worker_of_a_pool_is_told_that_it_may_start_no_others():
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         (said,) = pool.map(_study_in_a_pool, [0])

@@ -72,6 +72,7 @@ def blind_cvode(radius):
 # the failures, each by a method that a run can name, but for the one whose detector is put out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["rosenbrock", "cvode"])
 def test_methods_that_look_for_contacts_end_the_motile_step_right(truths, method):
     row = tried(truths("motile"), method, 0.01)

@@ -109,6 +109,7 @@ def test_states_that_blow_up_are_failed_solves():
     assert result.rows("rodas3")[0]["error_worst_cell"] < 0.01
 
 
+@pytest.mark.slow
 def test_a_comparison_continues_with_the_methods_of_networks_that_are_left(tmp_path):
     file = tmp_path / "n.ant"
     file.write_text("A = 1; A' = -0.001*A;\n", encoding="utf-8")

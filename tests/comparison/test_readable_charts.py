@@ -217,6 +217,7 @@ def test_points_are_medians_with_bars_from_the_shortest_to_the_longest(monkeypat
 # the page
 
 
+@pytest.mark.slow
 def test_every_pale_series_is_named_in_the_page(tmp_path):
     result = result_of(ladders(["<b>mine</b>", *(f"method {k}" for k in range(14))]))
     page = result.save(tmp_path).read_text(encoding="utf-8")

@@ -309,6 +309,7 @@ def test_implicit_methods_have_no_limit(limits):
     assert math.isinf(backward["theory"])
 
 
+@pytest.mark.slow
 def test_limits_follow_the_viscosity():
     thin, thick = (
         stability(SMALL.with_changes({"drag.viscosity": eta}), ["euler"], threads=1).limit("euler")
@@ -329,6 +330,7 @@ def test_bisection_ends_within_three_per_cent_below_the_limit(true):
     assert 2.0 / 1.03 <= bisect(lambda s: s <= 2.0, 1.0, 8.0) <= 2.0
 
 
+@pytest.mark.slow
 def test_files_hold_what_was_found(tmp_path):
     folder = tmp_path / "out"
     told = []

@@ -137,7 +137,7 @@ RICH = {
 }
 
 
-@pytest.mark.sample("2")
+@pytest.mark.slow
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_nutrient_division_types_friction_and_remembered_contacts_are_held(dimensions):
     rich = RICH if dimensions == 3 else {k: v for k, v in RICH.items() if k in IN_A_PLANE}
@@ -187,6 +187,7 @@ def test_the_number_of_steps_is_read():
     assert [sample_size(s) for s in (False, None, True, 3)] == [None, None, SAMPLES, 3]
 
 
+@pytest.mark.slow
 def test_the_command_compares_step_wise(tmp_path):
     scene, out = tmp_path / "pair.toml", tmp_path / "out"
     scene.write_text(PAIR.with_changes({"coupling_step": "10 s"}).to_toml())

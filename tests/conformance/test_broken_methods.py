@@ -11,6 +11,7 @@ from multicell.integrators.rkc import Rkc2
 from multicell.testing import check_integrator
 
 
+@pytest.mark.slow
 def test_an_object_keeps_its_other_settings():
     assert info_of(Rkc2(step=1.0, stages=5)).make(step=2.0) == Rkc2(step=2.0, stages=5)
     check_integrator("rkc2-5")

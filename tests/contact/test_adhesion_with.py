@@ -94,6 +94,7 @@ def system(law, radius, young, **options):
     return made, kind
 
 
+@pytest.mark.slow
 @pytest.mark.kernels
 def test_sums_over_pairs_and_their_derivative():
     law = CubicSpring(stiffness_at_rest=1.2).scaled_by_pairs()
@@ -118,7 +119,7 @@ def test_sums_over_pairs_and_their_derivative():
     np.testing.assert_array_equal(same.neighbours.reach, own.neighbours.reach)
 
 
-@pytest.mark.sample("unlike cells pull a tenth")
+@pytest.mark.slow
 @pytest.mark.kernels
 @pytest.mark.parametrize(("factors", "least", "most"), [
     ({"a": {"b": 0.1}, "b": {}}, 0.0, 0.2), ({"a": {}, "b": {}}, 0.4, 0.7),

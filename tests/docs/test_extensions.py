@@ -92,6 +92,7 @@ def test_programs_that_are_not_run_say_why(extension):
         assert len(after.split(".")[0].split()) > 2
 
 
+@pytest.mark.slow
 def test_lines_of_cells_that_fail_raise(tmp_path, extension):
     pytest.importorskip("IPython")
     startup = extension("kernel").STARTUP

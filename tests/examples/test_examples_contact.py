@@ -67,6 +67,7 @@ def test_table_3_2_holds_the_roots_of_the_force(tmp_path: Path) -> None:
     assert "17.178 ( 85.9%)" in example.text(rows)
 
 
+@pytest.mark.slow
 def test_exact_jkr_marks_the_numbers_of_the_theory(tmp_path: Path) -> None:
     example = load("exact_jkr")
     h0, rest, broken, pull_off, first, last = example.main(tmp_path).values()

@@ -24,15 +24,16 @@ PHASES = {k: {"duration": f"{h} h"} for k, h in (("G1", 12), ("S", 7), ("G2", 4)
 PHYSICS = {
     "friction": ("settle", {**TISSUE, "friction": {}}),
     "friction, explicit": ("settle", {**TISSUE, "friction": {}, "integrator": "rkc2"}),
-    "exact JKR": ("settle", {**TISSUE, "contact.law": "exact-jkr"}),
     "receptors": ("sorting-cams", {"duration": "15 min", "types.sticky.receptor": 3.0,
                                    "types.sticky.ligand": 4.0, "initial.count": 150}),
     "types": ("sorting", {"duration": "15 min", "initial.count": 150}),
     "phases": ("growth", {"initial.count": 150, "initial.stage": "uniform", "duration": "100 min",
                           "growth.phases": PHASES}),
-    "space that repeats": ("settle", {**TISSUE, "domain": {axis: [-20, 20] for axis in "xyz"}
-                                      | {"periodic": ["x", "y", "z"]}}),
-    "Brownian motion": ("settle", {**TISSUE, "motility": {"diffusion": "0.01 um^2/s"}}),
+    # three parts in one scene: each alone would compile all that has to do with contacts anew
+    "exact JKR, Brownian motion, space that repeats": (
+        "settle", {**TISSUE, "contact.law": "exact-jkr", "motility": {"diffusion": "0.01 um^2/s"},
+                   "domain": {axis: [-20, 20] for axis in "xyz"}
+                   | {"periodic": ["x", "y", "z"]}}),
     "plane": ("settle", {**TISSUE, "dimensions": 2}),
     "walls": ("settle", {**TISSUE, "domain": {axis: [-22, 22] for axis in "xyz"}}),
     "compression": ("settle", {**TISSUE, "initial.spacing": 0.72, "compression": {},

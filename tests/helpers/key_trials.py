@@ -38,7 +38,7 @@ CYCLES = {
     },
 }
 REGIMES = {
-    "steady": {"regime": "steady", "margin": "40 um"},
+    "steady": {"regime": "steady", "margin": "40 um", "margin_shape": "box"},
     "transient": {
         "regime": "transient",
         "margin": "40 um",
@@ -74,7 +74,10 @@ METHODS = {
 }
 
 
-KEPT = ("regime", "margin", "time_tolerance", "solver", "geometry", "layer", "spacing", "height")
+KEPT = (
+    "regime", "margin", "margin_shape", "time_tolerance", "solver", "geometry", "layer", "spacing",
+    "height",
+)  # fmt: skip
 
 
 def fields(regime, dimensions):

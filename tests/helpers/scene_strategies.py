@@ -222,11 +222,26 @@ def keys_of(entries, part=Scene, path=""):
 class Drawer:
     """Draws values for declarations.
 
-    ``extreme`` is the part of numbers from all of their range, ``share`` that of optional keys.
+    ``extreme`` is the part of numbers from all of their range, ``share`` that of optional keys;
+    keys of ``wanted``, which :func:`declared` names, are drawn rather than others.
     """
 
-    def __init__(self, draw, extreme, share=0.45):
+    def __init__(self, draw, extreme, share=0.45, wanted=()):
         self.draw, self.extreme, self.share = draw, extreme, share
+        self.wanted = [path.split(".") for path in sorted(wanted)]
+
+    def wants(self, path):
+        """Return whether a path is a wanted key or leads to one."""
+        keys = path.split(".")
+        return any(
+            len(keys) <= len(wanted)
+            and all(pattern in ("*", key) for pattern, key in zip(wanted, keys, strict=False))
+            for wanted in self.wanted
+        )
+
+    def rather(self, options, keys):
+        """Return the options with wanted keys, ``keys(option)``, or all where none has any."""
+        return [x for x in options if any(map(self.wants, keys(x)))] or list(options)
 
     def chance(self, share):
         return self.draw(st.integers(0, 999)) < 1000 * share
@@ -239,12 +254,13 @@ class Drawer:
         entries = {}
         rows = [dict(x.partition("=")[::2] for x in row.split())
                 for row in TOGETHER.get(part.__name__, [""])]  # fmt: skip
-        row = self.one_of(rows)
+        row = self.one_of(self.rather(rows, lambda row: [f"{path}{name}" for name in row]))
         for spec, field in ((specs(part)[f.name], f) for f in part.__dataclass_fields__.values()
                             if f.name in specs(part)):  # fmt: skip
             needed = field.default is field.default_factory or field.name in row
             excluded = field.name not in row and any(field.name in other for other in rows)
-            if needed or (not excluded and self.chance(self.share)):
+            share = 0.95 if self.wants(f"{path}{field.name}") else self.share
+            if needed or (not excluded and self.chance(share)):
                 value = row.get(field.name) or self.value(spec, field, f"{path}{field.name}")
                 if value is not None:
                     entries[field.name] = value
@@ -309,7 +325,9 @@ class Drawer:
         return self.part(spec.table, f"{path}.")
 
     def _variant(self, spec, field, path):
-        name = self.one_of(spec.options)
+        inside = {name: [f"{path}.{key}" for key in specs(part)]
+                  for name, part in spec.parts.items()}  # fmt: skip
+        name = self.one_of(self.rather(spec.options, inside.get))
         return {spec.key: name, **(self.part(spec.parts[name], f"{path}.") or {})}
 
     def _tables(self, spec, field, path):
@@ -495,9 +513,9 @@ def written_field(name):
 
 
 @st.composite
-def plausible(draw, extreme=0.004, small=True, share=0.45):
+def plausible(draw, extreme=0.004, small=True, share=0.45, wanted=()):
     """Draw the entries of a scene that fits together; ``small``: that runs in a moment."""
-    drawer = Drawer(draw, extreme, share)
+    drawer = Drawer(draw, extreme, share, wanted)
     scene = drawer.part(Scene, "") or {"duration": 3600.0}
     # functions of this process, which no scene brings along
     scene.get("output", {}).pop("observables", None)
@@ -613,15 +631,21 @@ def _loosen(scene):
                 kind.pop("ligand", None)
 
 
-def look_until(done, look, examples=40, most=100):
-    """Call ``look`` with plausible scenes of any size, of other seeds each time, until ``done``."""
+def look_until(missing, look, examples=20, most=100):
+    """Call ``look`` with plausible scenes of any size until no key is ``missing()``.
+
+    Seeds differ each time, and what is missing still is drawn rather than other keys.
+    """
     for number in range(most):
-        drawing = given(entries=plausible(small=False, share=0.8))(lambda entries: look(entries))
+        wanted = missing()
+        if not wanted:
+            return
+        share = 0.8 if number == 0 else 0.2
+        scenes = plausible(small=False, share=share, wanted=wanted if number else ())
+        drawing = given(entries=scenes)(lambda entries: look(entries))
         limits = settings(max_examples=examples, deadline=None, phases=[hypothesis.Phase.generate],
                           suppress_health_check=list(HealthCheck))  # fmt: skip
         hypothesis.seed(number)(limits(drawing))()
-        if done():
-            return
 
 
 @st.composite

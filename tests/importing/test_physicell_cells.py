@@ -251,7 +251,7 @@ def refusal(path):
     return ""
 
 
-@pytest.mark.sample("wrong", "1e300")
+@pytest.mark.slow
 @pytest.mark.parametrize("word", ["", "wrong", "-1", "0", "1e300"])
 def test_any_wrong_number_is_imported_or_refused_in_words(project, word):
     path = project()

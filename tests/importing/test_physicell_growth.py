@@ -225,6 +225,7 @@ def test_one_rate_divides_as_often_as_solids_with_water(project, rule):
     assert 0.5 * 0.0045 < rate < 0.9 * 0.0045
 
 
+@pytest.mark.slow
 def test_a_rule_about_volume_lets_cells_divide_when_they_have_grown(project):
     """PhysiCell 1.14.2: 594 and 588 cells of 200 after 4 h, 2.95 of one."""
     rules = "tumour cell,volume,increases,cycle entry,0.05,2400,8,0\n"

@@ -172,6 +172,7 @@ def test_a_step_in_a_gel_or_with_friction_ends_where_its_equation_holds(part):
     assert np.abs(outcome.position - position).max() > 0.01
 
 
+@pytest.mark.slow
 def test_linear_operators_state_their_type():
     """SciPy otherwise finds it by the product of a vector of small integers."""
     package = Path(multicell.__file__).parent

@@ -85,6 +85,7 @@ def test_gauss_seidel_sweeps_are_those_of_linear_algebra():
     np.testing.assert_allclose(out.ravel(), expected, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sweeps", [True, False])
 def test_preconditioners_approximate_and_give_the_same_bits(sweeps):
     position, radius, young = cluster(120, 6, spacing=0.8)

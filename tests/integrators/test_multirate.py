@@ -84,6 +84,7 @@ def test_the_few_cells_with_the_largest_errors_are_the_fast_ones():
     assert not is_fast.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [JKR(surface_energy=0.1), ExactJKR(surface_energy=0.1)])
 def test_one_group_is_adaptive_euler_in_every_bit(law):
     """Alike cells compiled; and scenes whose evaluations go through Python, whatever the cells."""

@@ -187,6 +187,7 @@ def test_the_stability_of_an_own_method_is_that_of_its_theory(mine):
     assert row["of_theory"] == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_the_example_runs_as_it_stands(tmp_path):
     done = subprocess.run(
         [sys.executable, str(EXAMPLE)], capture_output=True, text=True, cwd=tmp_path

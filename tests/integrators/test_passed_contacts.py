@@ -10,8 +10,10 @@ from multicell.contact.exact_jkr import ExactJKR
 from multicell.contact.hertz import Hertz
 from multicell.contact.springs import CubicSpring
 from multicell.integrators import registry
+from multicell.mechanics.forces import forming_pairs
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
+from multicell.mechanics.watch import ContactWatch
 from multicell.scene.parts import IntegratorOptions
 
 pytestmark = pytest.mark.kernels
@@ -114,3 +116,61 @@ def test_the_part_to_be_taken_is_that_in_which_the_missed_attraction_is_allowed(
         drawn += dt * mobility * max(-float(law.force(max(h, 1e-9), modulus, 2.0)), 0.0)
         t += dt
     assert found * step == pytest.approx(t, abs=2.0 * step / 16.0)
+
+
+def all_forming(system, begin, end, path, way, tolerance):
+    """Return the places of pairs that come into contact, of all in the list."""
+    pairs, motion = system._pair_data, system.motion
+    ranges = zip(pairs.start, pairs.outer_end, strict=True)
+    places = np.concatenate([np.arange(*ends) for ends in ranges])
+    found = np.empty_like(places)
+    cells = motion.radius, motion.radius_rate
+    step = begin - motion.begin, end - begin, way, tolerance
+    return found[: forming_pairs(places, pairs, *cells, *path, *step, found)]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_pairs_that_are_watched_have_all_that_come_into_contact(seed):
+    """Cells at random, most of them slow; steps of all lengths, some of them tried anew."""
+    rng, n, renewed = np.random.default_rng(seed), 150, 0
+    # the list itself lasts longer than what is watched of it
+    system = Mechanics(JKR(), 0.05, skin=2.0)
+    ones, rate = np.ones(n), 10.0 ** rng.uniform(-6.0, -3.0, n)
+    system.begin(Motion(4.0 * ones, rate, ones, 0.5 * ones, 0.0, 600.0))
+    watch, position, time = ContactWatch(system.motion), 42.0 * rng.random((n, 3)), 0.0
+    pace = 10.0 ** rng.uniform(-5.0, -1.0, (n, 1))
+    seen = []
+    for k in range(60):
+        dt = 10.0 ** rng.uniform(-0.5, 0.5)
+        speed, later = (pace * rng.normal(size=(n, 3)) for _ in range(2))
+        path = position, position + 0.5 * dt * (speed + later), speed, later
+        system.force(time + dt, path[1])
+        way = 2.0 * np.linalg.norm(path[1] - position, axis=1).max() + 2.0 * rate.max() * dt
+        before, step = watch._since, (time, time + dt)
+        kernel = system._cells, system._pair_data, system._law, system.rows
+        pairs = system.neighbours.pairs
+        watch.missed_contact(pairs, kernel, path, *step, way, 0.01)
+        watched = watch._watched.places[: watch._known]
+        found = all_forming(system, *step, path, way, 0.01)
+        assert np.isin(found, watched).all()
+        seen.append(len(found))
+        renewed += watch._since != before
+        if k % 5:
+            time, position = time + dt, path[1]
+    assert sum(seen) >= 10
+    assert 3 <= renewed <= 30, renewed
+    assert len(watched) < 0.5 * np.sum(pairs.outer_end - pairs.start)
+
+
+def test_a_contact_with_a_cell_that_is_driven_towards_another_one_is_found():
+    system, ones = Mechanics(JKR(), 0.05), np.ones(2)
+    velocity = np.array([[0.0, 0.0, 0.0], [-0.002, 0.0, 0.0]])
+    held = np.array([False, True])
+    motion = Motion(
+        4.0 * ones, 0.0 * ones, ones, 0.5 * ones, 0.0, 60.0, held=held, velocity=velocity
+    )
+    system.begin(motion)
+    # to integrators both stand still
+    place, still = np.array([[0.0, 0.0, 0.0], [8.001, 0.0, 0.0]]), np.zeros((2, 3))
+    system.force(5.0, place)
+    assert system.missed_contact(0.0, 5.0, place, place, still, still, 0.0, 0.01) < 0.9

@@ -84,6 +84,7 @@ def test_what_a_run_does_not_have_is_left_out_and_said(run):
     assert "1 data of other conditions are left out" in run.compare_with(other).notes
 
 
+@pytest.mark.slow
 def test_the_report_holds_the_comparison(run, tmp_path):
     found = run.compare_with(table_of(run, [1.0, 0.0, 0.0]))
     text = run.report(tmp_path, comparison=found).read_text(encoding="utf-8")
@@ -112,6 +113,7 @@ def invoke(*arguments):
     return done
 
 
+@pytest.mark.slow
 def test_commands_draw_data_over_runs_and_studies(folder, run, tmp_path):
     rows = table_of(run, [1.0, 0.0, 0.0])
     data = tmp_path / "mine.csv"

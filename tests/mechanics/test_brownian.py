@@ -123,7 +123,7 @@ def test_types_diffuse_by_their_scales_and_the_dead_not_at_all():
     is_variance(way[~still], 2 * 0.1 * 0.25 * 20.0, most=0.03)
 
 
-@pytest.mark.sample("euler", "auto", "cvode")
+@pytest.mark.sample("euler", "cvode")
 @pytest.mark.parametrize("method", ["auto", "euler", "rk4", "rkc2", "cvode", "backward-euler"])
 def test_cells_without_neighbours_have_their_path_by_every_method(method):
     """Displacements of internal steps add up to that of the path, whatever integrates."""
@@ -152,6 +152,7 @@ def spring_scene(**parts):
     })  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", [pytest.param(0.25, marks=pytest.mark.slow), 0.5])
 def test_variance_in_a_harmonic_spring(part):
     """D γ / k of a cell between held ones, 2 k from two sides, by (2 / κh) tanh(κh / 2).
@@ -262,6 +263,11 @@ def test_refusals():
         spring_scene(motility={"diffusion_step": "1 s"})
     with refused("motility.bias", "has no effect"):
         spring_scene(motility={"diffusion": 0.1, "bias": 0.5, "direction": [1, 0, 0]})
+    with refused("motility.diffusion_step", "6e+07 internal steps"):
+        spring_scene(motility={"diffusion": 0.1, "diffusion_step": "1e-6 s"})
+    with refused("motility.diffusion", "more than a million"):
+        spring_scene(motility={"diffusion": "1e6 um^2/s"})
+    assert Scene.from_dict({**FREE, "motility": {"diffusion": 1e6}}).motility.diffusion == 1e6
     scene = spring_scene(motility={"diffusion": "0.1 um^2/s"}, initial={"count": 3})
     assert scene.motility.force == 0.0
     assert spring_scene(motility={}).motility.force == 0.1

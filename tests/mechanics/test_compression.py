@@ -110,6 +110,7 @@ def test_the_jacobian_is_the_derivative_in_all_its_forms(case):
     assert -np.linalg.eigvals(matrix).real.min() <= bound
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sweeps", [True, False])
 def test_preconditioners_are_definite_and_shorten_the_way(sweeps):
     from scipy.sparse.linalg import LinearOperator, gmres

@@ -59,7 +59,7 @@ def test_kernels_agree_with_sums_over_all_pairs(name, n):
     )
 
 
-@pytest.mark.sample("hertz", "jkr", "jkr that does not stick", "sticky physicell")
+@pytest.mark.sample("hertz", "jkr", "jkr that does not stick")
 @pytest.mark.parametrize("name", SAMPLES)
 def test_jacobian_of_every_law(name):
     law = SAMPLES[name]

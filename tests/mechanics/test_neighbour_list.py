@@ -90,6 +90,7 @@ def test_a_compiled_loop_makes_the_same_lists(n):
                 np.testing.assert_array_equal(mine[start:end], theirs[start:end])
 
 
+@pytest.mark.slow
 def test_after_too_many_pairs_there_is_no_list_until_the_next_state():
     position, near = tissue(20_000)
     near.update(position)

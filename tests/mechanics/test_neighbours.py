@@ -1,15 +1,20 @@
 """Neighbour search against SciPy's k-d tree, by Python and in compiled loops."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 from strategies import cluster, seeds
+from synthetic import cells_at
 
+from multicell.compiling import threads
 from multicell.compiling.threads import launch
 from multicell.mechanics import neighbours
-from multicell.mechanics.neighbours import building
+from multicell.mechanics.neighbours import building, order
+from multicell.simulation.coupling_step import sorted_in_space
 
 
 def oracle(position, cutoff):
@@ -109,6 +114,19 @@ def test_spatial_order_keeps_neighbours_together():
     assert np.median(before) > 50.0
 
 
+def test_threads_sort_cells_as_one_does(monkeypatch):
+    rng = np.random.default_rng(4)
+    made = cells_at(rng.normal(0.0, 40.0, (3000, 3)), rng.uniform(4.0, 6.0, 3000))
+    alone, _ = sorted_in_space(made, 3000)  # many share a box: ties
+    monkeypatch.setattr(order, "_PART", 10)
+    monkeypatch.setattr(threads, "_WORTH", 10)
+    for number in (2, 5, 16):
+        assert sorted_in_space(made, 3000, None, number)[0].equals(alone)
+        share, large = partial(threads.share_rows, number), made.radius > 5.0
+        assert made.replaced(large, made, share).equals(made.replaced(large, made))
+        assert made.take(large, share).equals(made.take(large))
+
+
 def test_spatial_order_of_any_finite_input():
     big = np.finfo(float).max
     position = np.array([[big, 0, 0], [-big, 1, 2], [0, 0, 0], [big, 0, 0]])
@@ -131,7 +149,7 @@ def stray(position):
 
 
 @pytest.mark.parametrize("place", [np.copy, stray])
-@pytest.mark.parametrize("chunk", [100, 2048])
+@pytest.mark.parametrize("chunk", [7, 100, 2048])
 @pytest.mark.parametrize("run", ["rebuild", "rebuild_parallel"])
 def test_compiled_and_called_lists_are_the_same(place, chunk, run):
     position, radius, _ = cluster(700, 3, variation=0.3)

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from multicell.contact.exact_jkr import ExactJKR
@@ -19,7 +19,7 @@ from multicell.mechanics.jacobian import sparse_jacobian, sparsity
 from multicell.mechanics.motion import Motion, StateRejected
 from multicell.mechanics.system import Mechanics
 from multicell.mechanics.walls import Walls
-from multicell.scene.parts import IntegratorOptions
+from multicell.scene.parts import Domain, IntegratorOptions
 from multicell.vectors import nearest_differences, wrapped
 
 pytestmark = pytest.mark.kernels
@@ -186,6 +186,63 @@ def test_lists_hold_each_near_pair_once(seed, chunk):
         assert (found.second[inner:end] // chunk != c).all()
 
 
+@st.composite
+def border_places(draw, period, n=8):
+    """Return places (n, 3): many on faces, next to them by rounding, and whole periods away."""
+
+    def coordinate(axis):
+        if not period[axis]:
+            return draw(st.floats(0.0, float(ALL[axis])))
+        length = float(period[axis])
+        near = st.sampled_from([
+            0.0, -0.0, np.nextafter(0.0, -1.0), np.nextafter(0.0, 1.0), 5e-17, -1e-13, 1e-13,
+            length, np.nextafter(length, 0.0), np.nextafter(length, 100.0), length - 1e-13,
+            0.5 * length, np.nextafter(0.5 * length, 0.0), np.nextafter(0.5 * length, length),
+        ])  # fmt: skip
+        place = draw(st.one_of(near, st.floats(0.0, length)))
+        return place + length * draw(st.sampled_from([0, 0, 1, -1, 3]))
+
+    return np.array([[coordinate(axis) for axis in range(3)] for _ in range(n)])
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data(), st.sampled_from(SOME))
+def test_forces_on_cells_at_borders_are_those_of_a_threefold_copy(data, period):
+    """On a face, a bit below or above it, and half a period from another cell."""
+    place = data.draw(border_places(period))
+    radius, young = np.linspace(4.0, 5.4, len(place)), np.linspace(0.6, 1.4, len(place))
+    inside = wrapped(place, period)
+    first, second = np.triu_indices(len(place), 1)
+    apart = np.linalg.norm(nearest_differences(inside[first], inside[second], period), axis=1)
+    # cells at one place have no direction of their force; a pair at its range is in contact or not
+    assume((apart > 0.1).all())
+    assume((np.abs(apart - radius[first] - radius[second]) > 1e-9).all())
+    there, places = threefold(place, radius, young, period, Hertz())
+    system = system_of(radius, young, Hertz(), period=period)
+    force = system.force(0.0, place)
+    exact = there.force(0.0, places)[: len(place)]
+    np.testing.assert_allclose(force, exact, rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(force.sum(axis=0), 0.0, atol=1e-10)
+    assert len(system.contacts(0.0, place)) == (apart < radius[first] + radius[second]).sum()
+    pressure = there.pressure(0.0, places)[: len(place)]
+    np.testing.assert_allclose(system.pressure(0.0, place), pressure, rtol=1e-9, atol=1e-12)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.data(), st.integers(-7000, 7000).map(lambda sevenths: sevenths / 7.0))
+def test_images_lie_inside(data, low):
+    """Half open: no image lies on the upper side, whatever rounding does, and none moves."""
+    domain = Domain(x=(low, low + 31.0), y=(low, low + 34.0), z=(-3.0, 4.0), periodic=("x", "y"))
+    place = data.draw(border_places(domain.period)) + np.array([low, low, 0.0])
+    inside = domain.inside(place)
+    assert (inside[:, :2] >= low).all()
+    assert (inside[:, 0] <= low + 31.0).all()
+    assert (inside[:, 1] <= low + 34.0).all()
+    np.testing.assert_array_equal(inside[:, 2], place[:, 2])
+    turns = (place - inside)[:, :2] / [31.0, 34.0]
+    np.testing.assert_allclose(turns, np.rint(turns), atol=1e-11)
+
+
 METHODS = [
     "auto",
     "euler",
@@ -236,6 +293,37 @@ def test_a_regular_lattice_feels_no_force():
     np.testing.assert_allclose(system.pressure(0.0, grid), pressure, rtol=1e-10)
 
 
+def rk4(system, place, gamma, h):
+    """Return places after a time, s, by one classical step of Runge and Kutta."""
+    speed = [system.force(0.0, place) / gamma]
+    for part in (0.5, 0.5, 1.0):
+        speed.append(system.force(0.0, place + part * h * speed[-1]) / gamma)
+    return place + h / 6.0 * (speed[0] + 2.0 * speed[1] + 2.0 * speed[2] + speed[3])
+
+
+def test_a_lattice_loses_its_energy_to_drag_and_keeps_its_place():
+    """Σ γ v = 0 at all times, and the energy falls by ∫ Σ γ v² dt."""
+    count, length = 4, 7.6
+    grid = np.stack(np.meshgrid(*3 * [np.arange(count)]), axis=-1).reshape(-1, 3) * length
+    place = grid + np.random.default_rng(2).normal(0.0, 0.4, grid.shape)
+    radius, young = np.linspace(4.2, 4.8, len(grid)), np.ones(len(grid))
+    system = system_of(radius, young, Hertz(), period=np.full(3, count * length), duration=1e4)
+    gamma, spent, begin = system.drag * radius[:, None], 0.0, system.energy(0.0, place)
+    h = 0.5
+    for _ in range(40):
+        places = [place, rk4(system, place, gamma, 0.5 * h), rk4(system, place, gamma, h)]
+        forces = [system.force(0.0, at) for at in places]
+        for force in forces:
+            np.testing.assert_allclose(force.sum(axis=0), 0.0, atol=1e-10)
+        power = [(force**2 / gamma).sum() for force in forces]
+        spent += h / 6.0 * (power[0] + 4.0 * power[1] + power[2])
+        place = places[-1]
+    lost = begin - system.energy(0.0, place)
+    assert lost > 0.05 * begin
+    assert spent == pytest.approx(lost, rel=1e-5)
+
+
+@pytest.mark.slow
 def test_threads_give_the_same_bits():
     place, radius, young = tissue()
     found = []

@@ -41,7 +41,9 @@ def expect_complete(pairs, reference, wide):
     assert len(found) == len(pairs) < 1.1 * len(expected)
 
 
-@pytest.mark.parametrize("run", [repairing.repair, repairing.repair_parallel])
+@pytest.mark.parametrize(
+    "run", [repairing.repair, pytest.param(repairing.repair_parallel, marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("chunk", [64, 333, 2048])
 def test_repeated_repairs_leave_the_pairs_of_a_list_built_at_the_references(run, chunk):
     launch()

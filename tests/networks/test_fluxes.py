@@ -64,6 +64,7 @@ def _order(make):
     return orders
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", RATES)
 def test_fluxes_are_coupled_with_order_two(case):
     orders = _order(

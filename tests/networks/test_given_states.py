@@ -136,6 +136,7 @@ def test_the_view_has_states_and_says_where_there_are_none(tmp_path):
     assert "gaps" not in column
 
 
+@pytest.mark.slow
 def test_pictures_are_coloured_by_a_state(run, tmp_path):
     from multicell.report.plots.movie import movie
 

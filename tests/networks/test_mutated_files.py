@@ -59,6 +59,7 @@ def test_the_document_itself_is_read():
     assert network.states == ("cell", "A", "B", "C", "x")
 
 
+@pytest.mark.slow
 def test_a_changed_document_is_read_or_refused_in_words(request):
     first = request.config.getoption("--first-seed")
     outcomes = set()

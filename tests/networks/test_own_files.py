@@ -92,6 +92,7 @@ def test_a_study_varies_parameters_of_a_network_that_the_scene_sets(placed):
     assert left[1] / left[0] == pytest.approx(math.exp(-1e-3 * 1800.0), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_code_that_was_executed_as_text_is_compiled_anew(tmp_path):
     """It has no module in which a later process finds what it reads."""
     code = f"names = {{'__name__': 'gone'}}\nexec({OWN!r}, names)\nimport multicell as mc\n"

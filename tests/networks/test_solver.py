@@ -62,7 +62,7 @@ def test_order_by_regression(method):
     assert slope == pytest.approx(ORDERS[method], abs=0.16)
 
 
-@pytest.mark.sample("auto", "rodas4")
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ADAPTIVE)
 def test_error_follows_the_tolerance(method):
     want = _reference(BRUSSELATOR, 20.0, (0.0,), (0.0,))

@@ -12,6 +12,7 @@ from scipy.stats import qmc
 
 import multicell as mc
 from multicell.errors import SceneError
+from multicell.nutrient import balls
 from multicell.nutrient.balls import (
     _boxes_of,
     _part_within,
@@ -163,8 +164,9 @@ def test_cells_at_a_face_read_its_condition_and_never_less_than_nothing():
     np.testing.assert_allclose(read, 0.2 * position[:, 0], atol=1e-13)
 
 
-def test_weights_hold_for_boxes_and_balls_of_any_size():
-    """None below zero, all amounts kept, the transpose, and alone as among others."""
+def test_weights_hold_for_boxes_and_balls_of_any_size(monkeypatch):
+    """None below zero, all amounts kept, the transpose, alone as among others, for any threads."""
+    monkeypatch.setattr(balls, "_PART", 2)
     rng = np.random.default_rng(9)
     for _ in range(80):
         shape, h = tuple(int(n) for n in rng.integers(1, 12, 3)), float(np.exp(rng.uniform(-3, 3)))
@@ -183,6 +185,11 @@ def test_weights_hold_for_boxes_and_balls_of_any_size():
             scatter(box, position, amount, radius),
             gather(box, position, values, radius),
         )
+        for threads in (2, 5):
+            shared = scatter(box, position, amount, radius, threads)
+            assert shared.tobytes() == density.tobytes()
+            shared = gather(box, position, values, radius, threads)
+            assert shared.tobytes() == read.tobytes()
         assert density.min() >= 0.0
         assert box.volume * density.sum() == pytest.approx(amount.sum(), rel=1e-11)
         assert box.volume * (density * values).sum() == pytest.approx(amount @ read, rel=1e-11)
@@ -190,8 +197,9 @@ def test_weights_hold_for_boxes_and_balls_of_any_size():
         for bad in (np.nan, np.inf, -np.inf, 1e300):
             lost = position.copy()
             lost[n // 2, rng.integers(2)] = bad
-            with pytest.raises(ValueError, match="outside"):
-                scatter(box, lost, amount, radius)
+            for threads in (1, 3):
+                with pytest.raises(ValueError, match="outside"):
+                    scatter(box, lost, amount, radius, threads)
 
 
 # --- the concentration at a cell ------------------------------------------------------------------

@@ -247,6 +247,7 @@ def test_tissue_that_grows_in_a_box_stays_in_it_and_takes_its_shape():
     assert departure(cells.position, cells.radius) < 0.05
 
 
+@pytest.mark.slow
 def test_a_cluster_climbs_the_gradient_between_two_reservoirs():
     """The title of the scene, against closed forms.
 

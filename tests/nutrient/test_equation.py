@@ -120,6 +120,7 @@ def test_rates_follow_a_changing_medium(kind):
 # --- our solvers beside py-pde's ------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_pdes_explicit_solver_comes_to_rest_where_ours_says(kind):
     most = np.full(60, 80.0 if kind == "squares" else 900.0)

@@ -109,6 +109,7 @@ PLACES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("place", "regime"),
     [*((place, "transient") for place in PLACES), ("shells", "steady")],
@@ -231,6 +232,7 @@ def test_a_medium_smaller_than_its_grid_is_refused():
         mc.Simulation(scene(**{"nutrients.glucose.finite_medium.volume": 1e5}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("regime", ["steady", "transient"])
 def test_a_medium_far_larger_than_its_field_leaves_no_rounding_in_the_account(regime):
     """Decay in the field, and loss by flow, are not differences of large numbers."""
@@ -246,6 +248,7 @@ def test_a_medium_far_larger_than_its_field_leaves_no_rounding_in_the_account(re
     assert ledger.decayed > 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("regime", ["transient", "steady"])
 def test_fields_with_a_finite_medium_react_and_no_molecule_is_lost(regime):
     """A drug in a finite medium binds another one, and what they make leaves."""

@@ -112,6 +112,7 @@ def test_secretion_and_a_medium_that_rise_are_followed():
     assert secreted == pytest.approx(0.6 * 40.0 * length)
 
 
+@pytest.mark.slow
 def test_times_on_the_way_are_exact_and_close_where_the_field_bends():
     equation, state = placed("mixed sides, decay")
     seen = []

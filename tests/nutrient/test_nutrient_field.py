@@ -184,6 +184,7 @@ def test_bad_input_is_refused():
         walled.sample(np.full((1, 3), 1e3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("geometry", ["box", "radial"])
 @pytest.mark.parametrize("regime", ["steady", "transient"])
 def test_a_field_that_goes_on_is_as_one_made_anew_from_its_values(geometry, regime):

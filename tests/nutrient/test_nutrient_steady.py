@@ -85,6 +85,7 @@ def order(errors, sizes=SIZES):
     return -np.polyfit(np.log(sizes), np.log(errors), 1)[0]
 
 
+@pytest.mark.slow
 def test_second_order_for_zero_order_uptake_with_a_necrotic_core():
     necrotic, uptake = 55.0, 0.05
     rim = RADIUS**2 - 3.0 * necrotic**2 + 2.0 * necrotic**3 / RADIUS

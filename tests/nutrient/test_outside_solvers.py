@@ -262,6 +262,7 @@ def test_the_state_of_a_run_is_one_of_py_pde(space, medium, monkeypatch):
     assert view.grid is grids[-1]
 
 
+@pytest.mark.slow
 def test_resumed_runs_have_the_same_bits(tmp_path):
     scene = few(**{"nutrients.oxygen.solver": "adams-bashforth"})
     whole = mc.run(scene)

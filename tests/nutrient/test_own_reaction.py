@@ -160,6 +160,7 @@ def scene(**changes):
     return mc.Scene.from_dict({**entries, **changes})
 
 
+@pytest.mark.slow
 def test_a_run_with_an_own_reaction_is_that_with_the_same_of_fixed_form(tmp_path):
     fixed = {"x": {"rate": 1.0, "consumes": {"a": 1, "b": 1}}}
     theirs = mc.run(scene(reactions=fixed)).frames[-1]

@@ -211,6 +211,7 @@ def test_a_hill_front_at_rest_is_that_of_solve_bvp():
 # --- bad input ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_growth_without_bound_is_named():
     """dc/dt = k c² ends at t = 1/(k c0) = 1 s."""
     grid = CartesianGrid([(0, 40)] * 2, 4)

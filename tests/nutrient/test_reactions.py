@@ -55,6 +55,7 @@ MIXED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("geometry", "regime", "where"), [
     ("box", "transient", "tissue"), ("radial", "transient", "everywhere"),
     ("radial", "steady", "medium"), ("auto", "steady", "tissue"), ("auto", "transient", "medium"),
@@ -82,6 +83,7 @@ def test_what_passes_open_sides_to_and_fro_is_no_excuse(geometry):
     assert ledger.relative_remainder <= 1e-10
 
 
+@pytest.mark.slow
 def test_what_is_used_up_falls_to_zero_and_not_below():
     """Fast annihilation of two fields that meet in a front: each all but vanishes on one side."""
     sides = {name: {"type": "value", "value": 0.1} for name in ("x-", "x+")}
@@ -119,6 +121,7 @@ def test_fields_that_react_have_one_equation():
 # --- growth without bound -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_field_that_explodes_is_named():
     """Nothing is there at first, so that nothing tells of it before cells begin to secrete."""
     fields = {"a": {**CLOSED, "boundary": 0.0, "secretion": 100.0, "time_tolerance": 1e-2}}

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pde import CartesianGrid, ScalarField
 
 from multicell.nutrient import stencil
@@ -136,6 +138,45 @@ def test_cells_read_and_spread_over_the_border(repeats, size):
         np.testing.assert_allclose(layout.gradient(place, values), slopes, atol=1e-12)
 
 
+@settings(max_examples=100, deadline=None)
+@given(st.data(), st.sampled_from(CASES), st.sampled_from([0.0, 1e-9, 2.5, 13.0]))
+def test_cells_on_borders_read_what_they_feed(data, repeats, size):
+    """On a face, next to it by rounding, and whole periods away: amounts are kept to rounding."""
+    layout = layout_of(repeats)
+    low, length = np.array(layout.box.origin), H * np.array(layout.shape)
+
+    def coordinate(axis):
+        begin, end = low[axis], low[axis] + length[axis]
+        near = [begin, np.nextafter(begin, end), end, np.nextafter(end, begin), begin + 0.5 * H]
+        if repeats[axis]:
+            near += [
+                np.nextafter(begin, -99.0),
+                np.nextafter(end, 99.0),
+                begin - 1e-13,
+                end + 1e-13,
+                begin - 0.5 * H,
+                end + 7.0 * length[axis],
+            ]
+        return data.draw(st.sampled_from(near))
+
+    place = np.array([[coordinate(axis) for axis in range(3)] for _ in range(6)])
+    radius, values = np.full(6, size), random(layout.shape)
+    amount = np.arange(1.0, 7.0)
+    density = layout.scatter(place, amount, radius)
+    assert density.min() >= 0.0
+    assert density.sum() * layout.volumes == pytest.approx(amount.sum(), rel=1e-12)
+    gathered = layout.gather(place, values, radius)
+    assert (density * values).sum() * layout.volumes == pytest.approx(amount @ gathered, rel=1e-12)
+    conditions = dict.fromkeys(SIDES, WALL)
+    found = layout.read(place, values, conditions, radius)
+    assert values.min() - 1e-12 <= found.min() <= found.max() <= values.max() + 1e-12
+    # a cell a bit beyond a face reads what one on it does
+    inside = np.clip(place, low, low + length)
+    near = (np.abs(inside - place) < 1e-9).all(axis=1)
+    same = layout.read(inside, values, conditions, radius)
+    np.testing.assert_allclose(found[near], same[near], rtol=1e-10)
+
+
 def test_a_steady_field_on_many_nodes_is_found_by_transforms():
     """One mode of secretion: c = s / (m + rate), on more nodes than multigrid begins with."""
     layout = layout_of((True, True, True), (60, 40, 36))
@@ -168,7 +209,7 @@ def test_nodes_below_zero_take_their_balance_from_the_other_end():
     c = np.array([-0.1, 0.2, 0.4]).reshape(3, 1, 1)
     left = stencil.balance_negative(
         c, np.zeros((3, 1, 1)), np.zeros((3, 1, 1)), 1.0, operator.stiffness, 0.0,
-        operator.ghost, None, 0.0, 10,
+        operator.ghost, None, None, 0.0, 0.0, 10,
     )  # fmt: skip
     assert left == 0
     assert c[0, 0, 0] == pytest.approx(0.3)

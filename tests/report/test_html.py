@@ -18,6 +18,7 @@ from multicell.report.html import write_page
 from multicell.report.wording import clock
 
 
+@pytest.mark.slow
 def test_templates_are_loaded_when_a_page_is_written():
     code = (
         "import sys, multicell as mc; mc.load_scene('settle'); mc.compare; mc.stability; mc.run; "

@@ -12,6 +12,7 @@ from multicell.cli.main import main
 from multicell.report.plots.movie import movie
 
 
+@pytest.mark.slow
 def test_a_gif_has_every_frame_in_turn(small_run, tmp_path):
     seen = []
     path = movie(small_run, tmp_path / "a.gif", rate=4.0, progress=lambda k, n: seen.append((k, n)))
@@ -30,6 +31,7 @@ def test_a_gif_has_every_frame_in_turn(small_run, tmp_path):
     assert all(np.abs(a - b).max() > 60 for a, b in itertools.pairwise(pictures))
 
 
+@pytest.mark.slow
 def test_the_window_and_the_colours_stay(small_run, tmp_path, monkeypatch):
     drawn = []
     from multicell.report.plots import movie as room
@@ -46,6 +48,7 @@ def test_the_window_and_the_colours_stay(small_run, tmp_path, monkeypatch):
     assert drawn[0][1] == pytest.approx(tuple(np.percentile(every, (0.5, 99.5))))
 
 
+@pytest.mark.slow
 def test_a_film_lasts_as_long_as_its_frames(small_run, tmp_path):
     import imageio_ffmpeg
 

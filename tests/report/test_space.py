@@ -83,6 +83,7 @@ def test_a_cut_shows_the_inside_of_spheres_at_the_depth_of_its_plane():
     np.testing.assert_array_equal(behind[100, 100], whole[100, 100])
 
 
+@pytest.mark.slow
 def test_the_quarter_opens_onto_the_core_of_a_spheroid():
     frame = spheroid(3000)
     shade = colouring(frame, SCENE, None, {})
@@ -119,6 +120,7 @@ def test_cells_in_a_plane_and_unknown_cuts_are_refused():
         View(turn=float("nan"))
 
 
+@pytest.mark.slow
 def test_a_film_in_space_swings_to_both_sides_and_may_be_transparent(small_run, tmp_path):
     path = movie(small_run, tmp_path / "a.webp", space=True, rate=2.0, turn=80.0, transparent=True)
     with Image.open(path) as film:
@@ -150,6 +152,7 @@ def test_options_that_do_not_go_together_are_refused(small_run, tmp_path, given,
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_commands_draw_cells_in_space(small_run, tmp_path):
     def call(*words):
         return CliRunner().invoke(main, list(map(str, words)))

@@ -163,6 +163,7 @@ def test_cells_that_move_little_are_packed_in_few_bytes_and_unpacked_as_they_wer
     np.testing.assert_allclose(columns["x"], second.cells.position[:, 0], atol=0.6 * wide / 16383)
 
 
+@pytest.mark.slow
 def test_a_view_is_exported_as_a_page_of_its_own(run, tmp_path):
     (path,) = mc.export(run, tmp_path, format="page")
     page = path.read_text("utf-8")

@@ -82,6 +82,7 @@ def test_a_run_with_it_has_the_same_bits():
         np.testing.assert_array_equal(values, observed.history[name])
 
 
+@pytest.mark.slow
 def test_it_is_read_and_resumed_by_a_process_that_knows_it_only_if_loaded(file, tmp_path):
     own = mc.load_observable(f"{file}:surface")
     mc.run(GROWING.with_observables(own), output=tmp_path / "run", report=False)

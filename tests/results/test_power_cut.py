@@ -64,6 +64,7 @@ def test_content_is_on_disk_before_a_name_and_the_folder_after_it(made):
         assert ("fsync", above) in after, path
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("strace") is None, reason="there is no strace")
 def test_a_frame_is_on_disk_before_one_that_comes_much_later(made):
     folder, made = made

@@ -254,6 +254,7 @@ def test_a_summary_that_cannot_be_written_leaves_the_old_one(tmp_path):
     assert (tmp_path / "summary.json").read_text() == "old"
 
 
+@pytest.mark.slow
 def test_damage_says_what_can_still_be_read(tmp_path):
     folder = tmp_path / "out"
     changes = {**QUICK, "duration": "20 min", "initial.count": 400}

@@ -242,6 +242,7 @@ def test_history_rows_must_agree():
         history_columns([{"time": 0.0}, {"time": 1.0, "cells": 2.0}])
 
 
+@pytest.mark.slow
 def test_report_writes_only_files_that_overwriting_removes(tmp_path):
     frames = growing_frames(count=3, last=60)
     folder = written(tmp_path / "out", frames)

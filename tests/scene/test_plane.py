@@ -196,6 +196,7 @@ def test_pressure_factor_by_hand():
     assert np.isnan(none["pressure_factor"])
 
 
+@pytest.mark.slow
 def test_a_contact_inhibited_monolayer_tells_that_it_is(tmp_path):
     """Many of its cells are held back though none of them rests; a free one tells nothing."""
     scene = mc.load_scene("monolayer").with_changes(

@@ -70,6 +70,7 @@ def test_what_is_no_reaction_is_refused_at_its_place(change, path, words):
     [
         ({"a": {"spacing": 8}, "b": {"spacing": 9}}, "b.spacing", "share one grid"),
         ({"b": {"margin": 80}}, "b.margin", "is 80, but that of a is 50"),
+        ({"b": {"margin_shape": "tissue"}}, "b.margin_shape", "is tissue, but that of a is box"),
         ({"b": {"geometry": "radial"}}, "b.geometry", "is radial, but that of a is box"),
         ({"a": {"regime": "steady"}, "b": {"regime": "transient"}}, "a.regime", "'transient'"),
         (

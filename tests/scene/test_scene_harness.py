@@ -245,7 +245,7 @@ def test_what_no_run_could_begin_with_is_refused_before_it(case, tmp_path):
     assert not out.exists()
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
 @given(entries=drawn.starting())
 @pytest.mark.slow
 def test_scenes_that_are_explained_begin(entries):

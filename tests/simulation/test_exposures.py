@@ -82,7 +82,7 @@ LAWS = {
 }
 
 
-@pytest.mark.sample("steady-linear", "steady-hill", "transient-hill")
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("kind", FIELDS)
 def test_damage_is_of_second_order(kind, law):
@@ -230,6 +230,7 @@ def test_cells_that_switch_to_and_fro_are_a_markov_chain_at_any_step():
     assert cells.type_changes.max() > 3
 
 
+@pytest.mark.slow
 def test_a_short_pulse_kills_at_each_length_of_step():
     """A pulse of 4.8 min that kills after 3 min of it."""
     media = [["3.03 h", "3.5e-3 mM"], ["3.11 h", "0 mM"]]
@@ -280,6 +281,7 @@ def test_deaths_that_expose_others_in_the_same_step_are_not_missed(seed):
         assert reported < 8.0
 
 
+@pytest.mark.slow
 def test_a_dose_that_comes_and_goes_within_a_step_kills_at_once():
     """The field is above the threshold only between the ends of a step."""
     scene = described(
@@ -326,7 +328,7 @@ DYING = {
 }
 
 
-@pytest.mark.sample("at once")
+@pytest.mark.slow
 @pytest.mark.parametrize("death", DYING)
 def test_growth_is_of_second_order_where_cells_die(death):
     """The dead shrink, and leave the others what they do not take up, since their own time."""
@@ -355,6 +357,7 @@ def test_growth_is_of_second_order_where_cells_die(death):
     assert np.polyfit(np.log([40.0, 20.0, 10.0]), np.log(errors), 1)[0] > 1.7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["jkr", "exact-jkr"])
 def test_the_time_of_a_separation_does_not_depend_on_the_step(law):
     found = [

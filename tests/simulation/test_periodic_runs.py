@@ -3,12 +3,16 @@
 import numpy as np
 import pytest
 from running import finished, refused
+from synthetic import cells_at
 
 import multicell as mc
+from multicell.errors import DataError
 from multicell.results.frame import Frame
 from multicell.results.observables import touching
 from multicell.scene.scene import Scene
+from multicell.scene.start_checks import deep_overlaps
 from multicell.simulation import Simulation
+from multicell.vectors import wrapped
 
 BOX = {"x": ["-20 um", "20 um"], "y": ["-22 um", "22 um"], "z": ["-30 um", "30 um"]}
 
@@ -108,6 +112,40 @@ def test_lengths_that_need_a_centre_do_not_exist():
     assert "wall_pressure" not in summary
 
 
+def test_contacts_of_cells_that_rounding_puts_below_zero():
+    """A whole number of periods away an image may be below zero by rounding: no search takes it."""
+    edges = [side * k * 40.0 for k in range(1, 60) for side in (1, -1)]
+    x = np.array([np.nextafter(edge, 0.0) for edge in edges])
+    nothing = np.zeros(len(x))
+    place = np.stack([x, 30.0 * np.arange(len(x)), nothing], axis=1)
+    period = np.array([40.0, 0.0, 0.0])
+    inside = wrapped(place, period)
+    assert inside[:, 0].min() >= 0.0
+    assert inside[:, 0].max() < 40.0
+    near = np.concatenate([place, place + np.array([3.0, 0.0, 0.0])])
+    found = touching(Frame(0.0, 0, cells_at(near, 4.0)), period)
+    np.testing.assert_array_equal(found, np.arange(len(x))[:, None] + [0, len(x)])
+
+
+@pytest.mark.parametrize("other", [20.0, 20.0 - 1e-12, -60.0, 60.0 + 1e-10])
+def test_cells_at_one_place_over_the_border_are_refused(other):
+    """As a lattice with both ends of the box has them."""
+    table = {"x_um": [-20.0, 0.0, other], "y_um": [1.0, 1.0, 45.0], "z_um": [0.0, 0.0, 0.0]}
+    with pytest.raises(DataError, match=r"row 2.*is at the place of row 0"):
+        Simulation(scene_of(), cells=table)
+    # walls stand there: these are two cells
+    walled = {**table, "x_um": [-20.0, 0.0, 19.0], "y_um": [1.0, 1.0, 1.0]}
+    assert len(Simulation(scene_of("y"), cells=walled).cells) == 3
+
+
+def test_deep_overlaps_over_the_border_are_counted():
+    table = {"x_um": [-19.5, 19.5, 0.0], "y_um": [0.0] * 3, "z_um": [0.0] * 3}
+    for periodic, pairs in (("xy", 1), ("y", 0)):
+        scene = Simulation(scene_of(periodic), cells=table).scene
+        assert deep_overlaps(scene) == pairs
+
+
+@pytest.mark.slow
 def test_a_result_can_be_drawn_and_exported(tmp_path):
     pytest.importorskip("matplotlib")
     scene = scene_of("xyz", motility={"force": "40 nN"}, duration="6 h", types={"a": {}, "b": {}})
@@ -125,6 +163,7 @@ def test_a_result_can_be_drawn_and_exported(tmp_path):
     ("domain.x", "must be at least 20 um to repeat", {"domain": {**BOX, "x": [0, 19.9]}}),
     ("domain.periodic", "which 2 dimensions do not have", {
         "dimensions": 2, "domain": {"x": [0, 40], "y": [0, 40], "periodic": ["z"]}}),
+    ("domain.periodic", "names 'x' twice", {"domain": {**BOX, "periodic": ["x", "y", "x"]}}),
     ("pull", "neither centre nor rim", {"pull": {"force": 1.0}}),
     ("surface", "neither centre nor rim", {"surface": {"tension": 0.1}}),
     ("compression", "between walls", {"compression": {}}),

@@ -24,6 +24,7 @@ def test_size_of_a_cell():
     assert (row["unit"], row["key_unit"]) == ("um", "um")
 
 
+@pytest.mark.slow
 def test_exponential_growth():
     """Of a population that has long grown N = N0 2^(t/T), so d ln N / d ln T = -ln 2 t/T."""
     scene = mc.load_scene("growth").with_changes(
@@ -89,6 +90,7 @@ def test_scatter_cancels_in_a_spheroid():
     assert row["derivative"] > 5.0 * row["derivative_se"]
 
 
+@pytest.mark.slow
 def test_standard_error_and_variance_reduction(monkeypatch):
     """y = 3 x + shared scatter + own scatter of each run: 95 % of t intervals hold 3."""
     random = np.random.default_rng(1)
@@ -168,6 +170,7 @@ def test_what_has_no_derivative_is_refused(scene, changes, path, said, here):
     assert not here
 
 
+@pytest.mark.slow
 def test_coarse_against_fine(tmp_path, here):
     """Volume stays with radius, so that cells of a ball without contact have the same diameter."""
     scene = mc.load_scene("settle").with_changes(
@@ -188,6 +191,7 @@ def test_coarse_against_fine(tmp_path, here):
     assert len(here) == 6
 
 
+@pytest.mark.slow
 def test_coarse_against_fine_at_times():
     scene = mc.load_scene("growth").with_changes({"initial.count": 16, "duration": "30 h"})
     found = mc.compare_coarse(scene, 2, seeds=2, times=["10 h", "30 h"])

@@ -49,6 +49,7 @@ def shuffled(entries, chance, path=""):
     }
 
 
+@pytest.mark.slow
 @given(plausible(extreme=0.0), st.integers(0, 2**32))
 @settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
 def test_equal_scenes_have_one_digest(entries, seed):

@@ -68,6 +68,7 @@ def in_this_process(monkeypatch, *troubles):
     monkeypatch.setattr(engine, "workers", lambda *_: nullcontext(Client()))
 
 
+@pytest.mark.slow
 def test_a_study_is_done_once_and_each_run_is_what_it_would_be_alone(tmp_path):
     runs = short_runs(5)
     told = []
@@ -86,6 +87,7 @@ def test_a_study_is_done_once_and_each_run_is_what_it_would_be_alone(tmp_path):
     assert min(s.wall for s in found) > 0.0
 
 
+@pytest.mark.slow
 def test_short_runs_on_one_core_and_what_is_done_need_no_dask(tmp_path):
     stamps = []
     for reused in (False, True):
@@ -110,6 +112,7 @@ def test_the_longest_come_first(tmp_path, monkeypatch):
     assert told == [runs[1].name, runs[2].name, runs[0].name]
 
 
+@pytest.mark.slow
 def test_half_done_runs_go_on_with_the_same_bits(tmp_path, monkeypatch):
     """Also where an interruption has added a frame that the scene does not ask for."""
     in_this_process(monkeypatch)
@@ -274,6 +277,7 @@ def test_files_that_are_not_ours_are_never_removed(tmp_path, monkeypatch):
     assert (place / "notes.txt").read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_workers_leave_this_process_as_it_was():
     main, before = sys.modules["__main__"], dict(os.environ)
     names = {name: vars(main).get(name) for name in ("__file__", "__spec__")}

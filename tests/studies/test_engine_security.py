@@ -82,6 +82,7 @@ def answer(port, wrapped):
             return b""
 
 
+@pytest.mark.sample("True")
 @pytest.mark.parametrize("wrapped", [False, True])
 @pytest.mark.usefixtures("client")
 def test_no_port_answers_without_a_certificate(wrapped):

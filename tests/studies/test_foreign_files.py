@@ -37,7 +37,7 @@ def ends(table):
     return table["cells"].isel(time=-1, seed=0).values
 
 
-@pytest.mark.sample("files0", "files3")
+@pytest.mark.slow
 @pytest.mark.parametrize("files", [["frames.h5"], ["summary.json"], ["frames.h5", "summary.json"],
                                    ["frames.h5", "summary.json", "scene.toml"]])  # fmt: skip
 def test_files_of_another_run_are_never_read_as_this_ones(files, study, whole):

@@ -108,6 +108,7 @@ def test_a_study_of_which_nothing_has_run_has_a_page(tmp_path):
     assert not list(tmp_path.glob("*.png"))  # not a picture of empty tiles
 
 
+@pytest.mark.slow
 def test_a_sample_has_a_page_with_points_over_each_axis(tmp_path):
     table = sampled(OXYGEN, LAW, count=6, seeds=2)
     runs, states = [], []

@@ -128,6 +128,7 @@ def test_what_is_known_is_not_read_again(study, found, monkeypatch):
     assert (study.folder / "study.nc").stat().st_mtime_ns == before
 
 
+@pytest.mark.slow
 def test_missing_and_failed_runs_are_nan_and_say_so(tmp_path):
     study = mc.study(BASE, {"cells.young": "1,2 kPa"}, seeds=2, output=tmp_path / "study")
     first, second = study.plan.names[:2]
@@ -160,6 +161,7 @@ def test_a_study_of_which_nothing_has_run_has_a_table(tmp_path):
     assert (tmp_path / "study.csv").read_text().count("\n") == 1 + 2 * 6
 
 
+@pytest.mark.slow
 def test_lists_have_points_with_axes_as_coordinates(tmp_path):
     study = compute(
         mc.study(

@@ -26,7 +26,7 @@ def study(tmp_path_factory):
     return made
 
 
-@pytest.mark.sample("frames.h5-True", ".-False")
+@pytest.mark.slow
 @only_root
 @pytest.mark.harness
 @pytest.mark.parametrize(

@@ -50,6 +50,7 @@ def many():
     return centres, radii, balls(centres, radii, (1.0, 0.5, 0.5), (180, 360, 360))
 
 
+@pytest.mark.slow
 def test_three_thousand_balls_are_counted_exactly_and_lie_within_half_a_voxel(many):
     centres, radii, image = many
     columns, said = read(saved(image), "pixel=0.5 um, slice=1 um")

@@ -22,6 +22,7 @@ def growing(count, hours, variation, **parts):
     }))  # fmt: skip
 
 
+@pytest.mark.slow
 def test_families_of_exponential_cycles_are_geometric(compare):
     """A family has n cells with the chance e^(-kt) (1 - e^(-kt))^(n - 1)."""
     run = growing(FAMILIES, 20, 1)

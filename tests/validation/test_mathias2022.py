@@ -80,6 +80,7 @@ def test_backward_euler_of_cbmos_stands_still_where_gmres_looks_at_its_tolerance
     assert _error(modules, "adhering", "cubic", STEPS[5], "backward-euler") < 3e-3
 
 
+@pytest.mark.slow
 def test_newton_without_a_line_search_loses_the_solution_that_a_minimisation_finds(modules):
     exactly = {"vectors": 76, "tolerance": 1e-8}
     assert _error(modules, "divided", "cubic", STEPS[7], "theirs", **exactly) > 1.0

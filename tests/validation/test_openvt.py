@@ -27,6 +27,7 @@ def widths(frames, first=0, last=-1):
 # --- a chain of springs --------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_chain_relaxes_by_its_modes_and_as_published(compare):
     run = mc.run(mc.load_scene("openvt-chain"))
     n, rest = 11, np.arange(11) - 5.0
@@ -97,6 +98,7 @@ def test_monolayer_without_scatter_grows_as_that_of_physicell(compare):
         assert len(frame.cells) == 2 ** int(frame.time / (5.0 * HOUR) + 1e-9)
 
 
+@pytest.mark.slow
 def test_monolayer_grows_by_the_euler_lotka_rate_and_linearly_if_inhibited(compare):
     scene = mc.load_scene("openvt-monolayer")
     free = mc.run(scene)

@@ -54,6 +54,7 @@ def test_forward_euler_is_stable_up_to_two_over_lambda(modules, compare, part, g
     assert (size > 1e-6) == grows
 
 
+@pytest.mark.slow
 def test_steps_by_a_threshold_converge(modules, compare):
     papers, problems = modules["papers"], modules["osborne2024_problems"]
     start = np.random.default_rng(1).normal(0.0, 0.4, (12, 3))

@@ -167,6 +167,7 @@ def end_of(rho):
     return history["network_mean_cadherin_EB"].min(), history["radius"][-1] / history["radius"][0]
 
 
+@pytest.mark.slow
 def test_moving_cells_detach_where_lost_contacts_release_catenin():
     # with rho = 0 catenin stays at the surface whatever cells lose
     bound, spread = end_of(0.0)

@@ -37,3 +37,19 @@ def test_waves_relax_at_their_rates(mode, compare):
     found = -np.log((left @ away) / (away @ away)) / run.time
     what = f"ring of 16 springs, wave {mode}: rate over 4 (k/γ) sin²(πm/N)"
     compare.value(what, 1.0, found / exact, 1e-6)
+
+
+def test_a_ring_keeps_its_place_and_loses_the_energy_of_its_wave():
+    """Momentum: Σ γ v = 0, so that the centre stays. Energy: a wave's falls at twice its rate."""
+    run, _, rest, rate = ring(3, method="rk4-adaptive", atol=1e-9, rtol=1e-10)
+    centre, energy = run.cells.position.mean(axis=0), None
+    resting = np.stack([rest, *np.zeros((2, COUNT))], axis=1)
+    while not run.finished:
+        run.step()
+        system, end = run.mechanics, run.mechanics.motion.end
+        # springs that rest have the energy of their cutoff
+        now = system.energy(end, run.cells.position) - system.energy(end, resting)
+        if energy is not None:
+            assert now / energy == pytest.approx(np.exp(-2.0 * rate * 0.2 / rate), rel=1e-6)
+        energy = now
+        np.testing.assert_allclose(run.cells.position.mean(axis=0), centre, atol=1e-12)

@@ -19,6 +19,9 @@ from multicell.mechanics.rows import RADIUS
 
 _BINS_PER_CELL = 24  # most bins for each cell: scattered cells get wider ones
 _SPARE_BINS = 4096  # and for few cells: 32 kB of counts
+SLABS = 64
+"""Parts in which threads count and sort at most: tables grow with the cells, not their square."""
+
 SLICES = 4  # bins along x for each along y and z
 _LARGEST = 6  # column of ``extent`` behind both corners: the largest radius of a chunk
 _X, _Y, _Z = np.arange(3)  # axes; with literals each would have its own functions compiled
@@ -41,7 +44,7 @@ class Bins(NamedTuple):
     - ``low``, (3,), µm: dense: the corner of the grid
     - ``shape``, (3,) int64: dense: the number of bins along x, y and z; zeros where the bins are
       sparse
-    - ``start``, (bins + 2,) int32: dense: the first place of each bin, x running fastest, and the
+    - ``start``, (bins + 1,) int32: dense: the first place of each bin, x running fastest, and the
       end
     - ``ranges``, (n, 5, 2) int64: sparse: the first place and the end of the bins that may hold a
       cell's neighbours, in its own row, where only what comes later counts, and in the four rows
@@ -103,45 +106,56 @@ def _bin_along(x, axis, largest, low, shape):
 
 
 @njit(**INNER)
-def _assign(c, chunk, position, largest, low, shape, bin_of):
-    """Write the bins of a chunk's cells."""
+def _assign(c, chunk, position, largest, low, shape, shift, bin_of, count):
+    """Write the bins of a chunk's cells, and how many lie in each slab of 2 ** ``shift`` bins."""
+    for s in range(count.shape[1]):
+        count[c, s] = 0
     for i in range(np.uint64(c * chunk), np.uint64(min((c + 1) * chunk, bin_of.size))):
         ix = _bin_along(position[i, 0], _X, largest, low, shape)
         iy = _bin_along(position[i, 1], _Y, largest, low, shape)
         iz = _bin_along(position[i, 2], _Z, largest, low, shape)
-        bin_of[i] = (iz * shape[1] + iy) * shape[0] + ix
+        b = (iz * shape[1] + iy) * shape[0] + ix
+        bin_of[i] = b
+        count[c, np.uint64(b >> shift)] += 1
 
 
 @njit(**INNER)
-def _sort(bin_of, shape):
-    """Sort by counting; return where each bin begins, and where each cell stands.
+def _place_slabs(count):
+    """Turn counts into the places of each chunk's cells, slab after slab."""
+    total = 0
+    for s in range(count.shape[1]):
+        for c in range(count.shape[0]):
+            count[c, s], total = total, total + count[c, s]
 
-    The only part that threads do not share.
-    """
-    bins, place = shape[0] * shape[1] * shape[2], np.empty(bin_of.size, np.int32)
-    start = np.empty(bins + 2, np.int32)
-    for b in range(bins + 2):
-        start[b] = 0
-    if bins == 0:
-        return start, place
-    for i in range(bin_of.size):
-        start[np.uint32(bin_of[i] + 2)] += 1
-    for b in range(1, bins + 1):
-        start[b + 1] += start[b]
-    for i in range(bin_of.size):
+
+@njit(**INNER)
+def _part(c, chunk, bin_of, shift, at, by_slab):
+    """Write a chunk's cells among those of their slabs; ``at[c]`` then holds the ends of these."""
+    for i in range(np.uint64(c * chunk), np.uint64(min((c + 1) * chunk, bin_of.size))):
+        s = np.uint64(bin_of[i] >> shift)
+        by_slab[np.uint64(at[c, s])] = i
+        at[c, s] += 1
+
+
+@njit(**INNER)
+def _sort(s, shift, ends, by_slab, bin_of, position, radius, skin, start, place, order, cells):
+    """Sort the cells of a slab by counting: write where its bins end, and line up the cells."""
+    begin, end = ends[s - 1] if s > 0 else np.int64(0), ends[s]
+    low, high = s << shift, min((s + 1) << shift, start.size - 1)
+    for b in range(low, high):
+        start[b + 1] = 0
+    for k in range(begin, end):
+        start[np.uint32(bin_of[by_slab[k]] + 1)] += 1
+    total = begin
+    for b in range(low, high):
+        start[b + 1], total = total, total + start[b + 1]
+    for k in range(begin, end):
         # start[b + 1] runs through bin b, and ends as the first place of the next one
+        i = np.uint64(by_slab[k])
         b = np.uint32(bin_of[i] + 1)
-        place[i] = start[b]
+        p = np.uint64(start[b])
         start[b] += 1
-    return start, place
-
-
-@njit(**INNER)
-def _line_up(c, chunk, position, radius, skin, place, order, cells):
-    """Write a chunk's cells where they stand."""
-    for i in range(np.uint64(c * chunk), np.uint64(min((c + 1) * chunk, radius.size))):
-        p = np.uint32(place[i])
-        order[p] = i
+        place[i], order[p] = p, i
         for a in range(3):
             cells[p, a] = position[i, a]
         cells[p, RADIUS] = radius[i] + 0.5 * skin
@@ -254,14 +268,35 @@ def dense_bins(position, radius, skin, chunk):
     for c in prange(chunks):
         _extent(c, chunk, position, radius, extent)
     largest, low, shape = _dense_grid(extent, skin, n)
-    dense = chunks if shape[0] > 0 else 0
+    bins, shift = shape[0] * shape[1] * shape[2], 0
+    while (bins - 1) >> shift >= min(SLABS, chunks):
+        shift += 1
+    slabs, dense = ((bins - 1) >> shift) + 1, chunks if bins > 0 else 0
+    at, by_slab = np.empty((chunks, slabs), np.int64), np.empty(n, np.int32)
     for c in prange(dense):
-        _assign(c, chunk, position, largest, low, shape, bin_of)
-    places, place = _sort(bin_of, shape)
-    order, cells = np.empty(n, np.int32), np.empty((n, 4))
+        _assign(c, chunk, position, largest, low, shape, shift, bin_of, at)
+    _place_slabs(at)
     for c in prange(dense):
-        _line_up(c, chunk, position, radius, skin, place, order, cells)
-    return Bins(order, place, cells, largest, low, shape, places, np.empty((0, 5, 2), np.int64))
+        _part(c, chunk, bin_of, shift, at, by_slab)
+    place, order, cells = np.empty(n, np.int32), np.empty(n, np.int32), np.empty((n, 4))
+    start = np.empty(bins + 1, np.int32)
+    start[0] = 0
+    for s in prange(slabs):
+        _sort(
+            s,
+            shift,
+            at[chunks - 1],
+            by_slab,
+            bin_of,
+            position,
+            radius,
+            skin,
+            start,
+            place,
+            order,
+            cells,
+        )
+    return Bins(order, place, cells, largest, low, shape, start, np.empty((0, 5, 2), np.int64))
 
 
 @njit(**INLINED)

@@ -12,6 +12,7 @@ from multicell.compiling import INNER
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.neighbours.bins import (
     SEARCHED,
+    SLABS,
     SLICES,
     Bins,
     collect,
@@ -162,32 +163,47 @@ def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
 
 
 @njit(**INNER)
-def _mirror(chunk, base, room, found, first, second, end):
-    """Give the outer pairs to the chunks of their second cells, too, and write where lists end.
+def _count_mirrored(g, chunk, base, found, second, at):
+    """Count the outer pairs of some chunks, the part ``g``, by the chunks of their second cells."""
+    parts, chunks = at.shape
+    for d in range(chunks):
+        at[g, d] = 0
+    for c in range(g * chunks // parts, (g + 1) * chunks // parts):
+        own = base[c] + found[c, 0]
+        for k in range(own, own + found[c, 1]):
+            at[g, np.uint64(second[k] // chunk)] += 1
 
-    Return whether there was room for them; where not, ``room`` is made larger.
+
+@njit(**INNER)
+def _make_room(base, room, found, at, end):
+    """Turn these counts into places behind the chunks' own pairs, and write where lists end.
+
+    Return whether there is room for them; where not, ``room`` is made larger.
     """
     chunks, enough = found.shape[0], True
     for c in range(chunks):
         end[c] = base[c] + found[c, 0] + found[c, 1]
-    for c in range(chunks):
-        own = base[c] + found[c, 0]
-        for k in range(own, own + found[c, 1]):
-            end[second[k] // chunk] += 1
+    for g in range(at.shape[0]):
+        for d in range(chunks):
+            at[g, d], end[d] = end[d], end[d] + at[g, d]
     for c in range(chunks):
         if end[c] > base[c + 1]:
             room[c, 1] += end[c] - base[c + 1]
             enough = False
-        end[c] = base[c] + found[c, 0] + found[c, 1]
-    if not enough:
-        return False
-    for c in range(chunks):
+    return enough
+
+
+@njit(**INNER)
+def _mirror(g, chunk, base, found, first, second, at):
+    """Give the outer pairs of a part's chunks to the chunks of their second cells, too."""
+    parts, chunks = at.shape
+    for c in range(g * chunks // parts, (g + 1) * chunks // parts):
         own = base[c] + found[c, 0]
         for k in range(own, own + found[c, 1]):
-            d = second[k] // chunk
-            first[end[d]], second[end[d]] = second[k], first[k]
-            end[d] += 1
-    return True
+            d = np.uint64(second[k] // chunk)
+            p = np.uint64(at[g, d])
+            first[p], second[p] = second[k], first[k]
+            at[g, d] += 1
 
 
 def _rebuild(position, radius, skin, chunk, first, second):
@@ -212,6 +228,8 @@ def _rebuild(position, radius, skin, chunk, first, second):
     bins = Bins(order, place, cells, dense.largest, dense.low, dense.shape, dense.start, ranges)
     base, limit = np.empty(chunks + 1, np.int64), 500 * n + _SPARE_PAIRS
     room, counts = np.empty((chunks, 2), np.int64), np.empty((chunks, 2), np.int64)
+    parts = min(chunks, SLABS)
+    at = np.empty((parts, chunks), np.int64)
     start, inner_end = np.empty(chunks, np.int64), np.empty(chunks, np.int64)
     outer_end = np.empty(chunks, np.int64)
     for c in range(chunks):
@@ -233,8 +251,13 @@ def _rebuild(position, radius, skin, chunk, first, second):
                 room[c, side] = max(room[c, side], counts[c, side])
         if total > limit:
             break
-        if enough and _mirror(chunk, base, room, counts, first, second, outer_end):
-            break
+        if enough:
+            for g in prange(parts):
+                _count_mirrored(g, chunk, base, counts, second, at)
+            if _make_room(base, room, counts, at, outer_end):
+                for g in prange(parts):
+                    _mirror(g, chunk, base, counts, first, second, at)
+                break
     for c in range(chunks):
         start[c], inner_end[c] = base[c], base[c] + counts[c, 0]
     return total > limit, first, second, start, inner_end, outer_end

@@ -11,6 +11,7 @@ from multicell.compiling import INNER
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.neighbours.bins import (
     SEARCHED,
+    SLABS,
     SLICES,
     collect,
     dense_bins,
@@ -163,6 +164,42 @@ def _pairs_of(part, cell, moved, bins, first, second):
 
 
 @njit(**INNER)
+def _count_new(g, new, chunk, first, second, at):
+    """Count the pairs that some parts, the group ``g``, have found, ``new`` of each, by chunks.
+
+    Inner and outer pairs of each chunk in turn.
+    """
+    groups, parts = at.shape[0], new.size
+    for k in range(at.shape[1]):
+        at[g, k] = 0
+    for part in range(g * parts // groups, (g + 1) * parts // groups):
+        begin = _FOUND * _PART * part
+        for p in range(begin, begin + new[part]):
+            c, d = first[p] // chunk, second[p] // chunk
+            out = np.int64(c != d)
+            at[g, 2 * c + out] += 1
+            at[g, 2 * d + 1] += out
+
+
+@njit(**INNER)
+def _add(g, new, chunk, new_first, new_second, at, first, second):
+    """Write the pairs that a group has found to their places ``at[g]`` in the list."""
+    groups, parts = at.shape[0], new.size
+    for part in range(g * parts // groups, (g + 1) * parts // groups):
+        begin = _FOUND * _PART * part
+        for p in range(begin, begin + new[part]):
+            i, j = new_first[p], new_second[p]
+            c, d = i // chunk, j // chunk
+            own = 2 * c + np.int64(c != d)
+            first[at[g, own]], second[at[g, own]] = i, j
+            at[g, own] += 1
+            if c != d:
+                other = 2 * d + 1
+                first[at[g, other]], second[at[g, other]] = j, i
+                at[g, other] += 1
+
+
+@njit(**INNER)
 def _leaving(c, moved, first, second, start, outer_end):
     """Return how many pairs of a chunk :func:`_keep` will take out."""
     count = 0
@@ -255,17 +292,20 @@ def _repair(
     parts = (total + _PART - 1) // _PART if bins.shape[0] > 0 else 0
     new_first = np.empty(_FOUND * total, np.int32)
     new_second = np.empty(_FOUND * total, np.int32)
-    new = np.empty(parts, np.int64)
-    for q in prange(parts):
-        new[q] = _pairs_of(q, cell, moved, bins, new_first, new_second)
+    groups, new = min(parts, SLABS), np.empty(parts, np.int64)
+    places = np.empty((groups, 2 * chunks), np.int64)
+    for g in prange(groups):
+        for q in range(g * parts // groups, (g + 1) * parts // groups):
+            new[q] = _pairs_of(q, cell, moved, bins, new_first, new_second)
+        _count_new(g, new, chunk, new_first, new_second, places)
     extra, at = np.zeros((chunks, 2), np.int64), np.empty((chunks, 2), np.int64)
     enough = bins.shape[0] > 0
     for part in range(parts):
         enough &= new[part] >= 0
-        for p in range(_FOUND * _PART * part, _FOUND * _PART * part + new[part]):
-            c, d = new_first[p] // chunk, new_second[p] // chunk
-            extra[c, np.int64(c != d)] += 1
-            extra[d, 1] += np.int64(c != d)
+    for g in range(groups):
+        for c in range(chunks):
+            extra[c, 0] += places[g, 2 * c]
+            extra[c, 1] += places[g, 2 * c + 1]
     for c in range(chunks):
         room = start[c + 1] if c + 1 < chunks else first.size
         room -= outer_end[c] + extra[c, 0] + extra[c, 1]
@@ -279,19 +319,16 @@ def _repair(
         return False, inner_end, outer_end
     for c in prange(chunks):
         _keep(c, moved, first, second, start, inner_end, outer_end, extra, at)
+    for g in range(groups):
+        for c in range(chunks):
+            for side in range(2):
+                k = 2 * c + side
+                places[g, k], at[c, side] = at[c, side], at[c, side] + places[g, k]
+    for g in prange(groups):
+        _add(g, new, chunk, new_first, new_second, places, first, second)
     inner, outer = np.empty(chunks, np.int64), np.empty(chunks, np.int64)
     for c in range(chunks):
-        inner[c], outer[c] = at[c, 0] + extra[c, 0], at[c, 1] + extra[c, 1]
-    for part in range(parts):
-        for p in range(_FOUND * _PART * part, _FOUND * _PART * part + new[part]):
-            i, j = new_first[p], new_second[p]
-            c, d = i // chunk, j // chunk
-            side = np.int64(c != d)
-            first[at[c, side]], second[at[c, side]] = i, j
-            at[c, side] += 1
-            if c != d:
-                first[at[d, 1]], second[at[d, 1]] = j, i
-                at[d, 1] += 1
+        inner[c], outer[c] = at[c, 0], at[c, 1]
     return True, inner, outer
 
 

@@ -1,11 +1,12 @@
 """The fields' equation as one of py-pde's, for any solver of py-pde's, and for our own.
 
-    ∂c/∂t = ∇·(D ∇c) + k_p (c_medium − c) − k_d c − Q c/(K + c) + S + f
+    ∂c/∂t = ∇·(D ∇c) + (k_p + κ) (c_medium − c) − k_d c − Q c/(K + c) + S + f
 
 for each substance, on a grid of py-pde's: ``CartesianGrid`` in two and three dimensions with equal
 spacings, or ``SphericalSymGrid``. Q and S are what cells take up at most and secrete, spread over
 their balls (:mod:`multicell.nutrient.balls`); f is what reactions between substances make. Below
-zero, where only a solver's error can bring c, uptake and reactions go on along their tangent.
+zero, where only a solver's error can bring c, uptake and reactions go on along their tangent. κ is
+zero but where the layer of medium round a tissue ends (:mod:`multicell.nutrient.layer`).
 """
 
 from __future__ import annotations
@@ -300,11 +301,12 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
     def fastest(self, data: FloatArray) -> float:
         """Return a bound on the rate in 1/s at which anything settles, for steps of solvers.
 
-        Diffusion, what goes in proportion, uptake where there is nothing, and reactions as they are
-        at ``data``.
+        Diffusion, exchange with the medium, what goes in proportion, uptake where there is nothing,
+        and reactions as they are at ``data``.
         """
         own = [
             2.0 * each.operator.fastest()
+            + each.quickest_exchange
             + each.linear
             + float(each.sink.max(initial=0.0)) / each.substance.half_saturation
             for each in self.substances.values()
@@ -318,18 +320,20 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         position: FloatArray,
         demands: Mapping[str, tuple[FloatArray, FloatArray | None]],
         radius: FloatArray | None = None,
+        exchange: FloatArray | None = None,
     ) -> None:
         """Take cells elsewhere, with largest uptake and secretion of each, (n,) amol/s, by name.
 
-        ``layout`` may lie elsewhere too, and have other nodes of the same kind; nothing that
-        belongs to nodes (``varied``, ``tissue``) may have been given then.
+        ``layout`` may lie elsewhere too, and have other nodes of the same kind, with another
+        ``exchange`` (:class:`multicell.Substance`); nothing else that belongs to nodes (``varied``,
+        ``tissue``) may have been given then.
         """
         self.position = position
         if layout is not self.layout:
             self.__dict__.pop("grid", None)
             self.layout = layout
         for name, each in self.substances.items():
-            each.place(layout, position, radius, *demands[name])
+            each.place(layout, position, radius, *demands[name], exchange)
 
     def exchanges(
         self, data: FloatArray, t: float, reports: Mapping[str, SolveReport] | None = None

@@ -97,9 +97,13 @@ class LinearCourse:
 
 
 def is_linear(each: PlacedSubstance) -> bool:
-    """Whether a substance on a box has one coefficient of diffusion, and gains linearly in time."""
-    own = each.operator
-    return isinstance(own, Diffusion) and own.varied is None and each.gains_linearly
+    """Whether a substance on a box has one coefficient of diffusion, and gains linearly in time.
+
+    Where a layer of medium ends inside of the box, no transform makes A diagonal.
+    """
+    op = each.operator
+    uniform = isinstance(op, Diffusion) and op.varied is None and op.exchange is None
+    return uniform and each.gains_linearly
 
 
 def _phi(z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

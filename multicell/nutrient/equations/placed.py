@@ -53,6 +53,7 @@ class PlacedSubstance:
         self.schedule = substance.schedule
         self.linear = substance.decay + substance.perfusion
         self._conditions: Any = None
+        self._exchange = substance.exchange
         self._scale()
         self.place(layout, position, radius, substance.capacity, substance.production)
 
@@ -63,14 +64,19 @@ class PlacedSubstance:
         radius: FloatArray | None,
         capacity: FloatArray | None,
         production: FloatArray | None,
+        exchange: FloatArray | None = None,
     ) -> None:
         """Take cells elsewhere, with other largest uptake and secretion (n,) in amol/s.
 
-        ``layout`` may lie elsewhere too, and have other nodes of the same kind.
+        ``layout`` may lie elsewhere too, and have other nodes of the same kind, which then have
+        another ``exchange`` with the medium.
         """
         self.layout, self.shape = layout, layout.shape
+        self._exchange = self._exchange if exchange is None else exchange
         if self._scaled != (layout.shape, layout.spacing):
             self._scale()
+        elif exchange is not None and isinstance(self.operator, Diffusion):
+            self.operator.set_exchange(exchange)
         self.sink, self.secreted, self._production = self._spread(
             position, radius, capacity, production
         )
@@ -152,7 +158,12 @@ class PlacedSubstance:
         conditions = self.conditions_at(level)
         operator: AnyOperator
         if isinstance(layout, BoxLayout):
-            operator = Diffusion(layout.box, p.diffusion, conditions, varied=varied)
+            exchange = self._exchange
+            if exchange is not None:
+                exchange = np.asarray(exchange, float).reshape(self.shape)
+            operator = Diffusion(
+                layout.box, p.diffusion, conditions, varied=varied, exchange=exchange, level=level
+            )
             operator.threads = self._threads
             before = getattr(self, "operator", None)
             if isinstance(before, Diffusion):
@@ -161,6 +172,12 @@ class PlacedSubstance:
             operator = Shells(layout.radius, layout.count, p.diffusion, conditions, varied=varied)
         # at once: what is interrupted must not leave one beside the others
         self.operator, self._level, self._scaled = operator, level, (layout.shape, layout.spacing)
+
+    @property
+    def quickest_exchange(self) -> float:
+        """Largest rate of exchange with a medium beyond the layer, 1/s."""
+        operator = self.operator
+        return operator.largest_exchange if isinstance(operator, Diffusion) else 0.0
 
     def follow(self, level: float) -> None:
         """Take another concentration of a medium that does not change by itself, mM."""
@@ -194,6 +211,8 @@ class PlacedSubstance:
         if level != self._level:
             if callable(self.substance.conditions):
                 self.operator.set_boundary(self.conditions_at(level))
+            if isinstance(self.operator, Diffusion):
+                self.operator.level = level
             self._level = level
         return self.operator
 
@@ -290,5 +309,5 @@ class PlacedSubstance:
         """Return about (shift - D L)⁻¹ r with ``shift`` (1/s) at the nodes, exactly on shells."""
         op, r = self.operator, np.array(r, dtype=float).reshape(self.shape)
         if isinstance(op, Diffusion):
-            return np.asarray(op.invert(r, float(shift.mean()))[0])
+            return op.near_inverse(r, shift)
         return op.solve_linear(shift * op.volumes, r * op.volumes)

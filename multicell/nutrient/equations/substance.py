@@ -105,6 +105,9 @@ class Substance:
         Largest uptake and secretion of each cell.
     varied : shape of the grid, optional
         Coefficient of diffusion at the nodes over ``diffusion``.
+    exchange : shape of the grid, optional
+        Rate of exchange with the medium at the nodes of a ``CartesianGrid``, over D/h², by which
+        the layer of medium round a tissue ends inside of the grid and not at its faces.
 
     Raises
     ------
@@ -121,6 +124,7 @@ class Substance:
     capacity: FloatArray | None = None
     production: FloatArray | None = None
     varied: FloatArray | None = None
+    exchange: FloatArray | None = None
 
     def __post_init__(self) -> None:
         for name in ("diffusion", "half_saturation", "decay", "perfusion"):

@@ -24,6 +24,7 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
+from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.operators import lifted, linearised, source_imbalance
 from multicell.nutrient.reactions.inverse import apply_node_blocks, gmres, inverse_of_blocks
 from multicell.nutrient.steady import StepRefused
@@ -147,13 +148,22 @@ class _Newton:
         self.residual = rate - self.rate * c
         self.sizes = np.sum(np.abs(self.residual) * v, axis=1)
         # what passes a side to and fro is no measure: the net of it may be far less
-        happening = np.abs(made) + (self.slopes + self.rate) * np.abs(c) + self.gained
+        pulled = self.pulled(c)
+        happening = np.abs(made) + (self.slopes + self.rate) * np.abs(c) - pulled + self.gained
         gross = np.einsum("ijx,jx->ix", np.abs(self.derivative), np.abs(c))
-        rounding = self.quick[:, None] * np.abs(c) + gross + np.abs(self.sources)
+        rounding = self.quick[:, None] * np.abs(c) + gross + np.abs(self.sources) + pulled
         floor = 16.0 * float(np.finfo(float).eps) * np.sum(rounding * v, axis=1)
         self.exact = COUPLED_TOLERANCE * np.sum(happening * v, axis=1)
         self.targets = np.maximum(self.exact, floor)
         self.sums = np.abs(np.sum(self.residual * v, axis=1))
+
+    def pulled(self, c: FloatArray) -> FloatArray:
+        """Return the loss of nodes to the medium with which they exchange, (m, nodes) mM/s."""
+        out = np.zeros_like(c)
+        for i, op in enumerate(self.coupled.operators):
+            if isinstance(op, Diffusion) and op.exchange is not None:
+                out[i] = op.exchange.ravel() * np.abs(c[i])
+        return out
 
     def _improve(self, c: FloatArray) -> FloatArray:
         """Return a state with smaller imbalances."""

@@ -46,6 +46,9 @@ def inverse_of_blocks(operators: Sequence[AnyOperator], blocks: FloatArray) -> S
 def _in_box(operators: list[Diffusion], blocks: FloatArray) -> Solve:
     m, _, nodes = blocks.shape
     mean = blocks.mean(axis=2)
+    for i, op in enumerate(operators):
+        if op.exchange is not None:  # at few nodes, and much faster than all else
+            mean[i, i] -= float(op.exchange.mean())
     alike = all(op.kinds == operators[0].kinds for op in operators)
     if not alike:
         mean = np.diag(np.diag(mean))

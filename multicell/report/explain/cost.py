@@ -24,7 +24,7 @@ from multicell.scene.field_solvers import expected_steps
 from multicell.scene.nutrient import OWN_SOLVERS
 from multicell.scene.pairs import explicit_limit
 from multicell.scene.reactions import group_of
-from multicell.scene.scales import MAX_NODES, regime
+from multicell.scene.scales import MAX_NODES, MAX_UNEVEN, regime
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import typical_radius
 
@@ -256,11 +256,17 @@ def cost_numbers(scene: Scene, expected: Prediction) -> list[Number]:
 
 
 def cost_notes(expected: Prediction) -> list[str]:
-    """Return a remark on tissue that starves as soon as a run starts."""
-    lost = expected.course.starved
-    if not lost > _NOTED_SHARE:
-        return []
-    return [
-        f"About {100.0 * lost:.2g} % of the tissue of the start finds too little to live and would "
-        "die at once."
+    """Return remarks on fields that differ between directions, and tissue that starves at once."""
+    notes = [
+        f"{name} at the surface of the tissue is expected to differ by up to {uneven:.1%} of the "
+        "medium between the axes of its grid and the diagonals, since the medium begins at the "
+        f"sides of a box: with nutrients.{name}.margin_shape = 'tissue' (and without a finite "
+        "medium) it has no corners."
+        for name, uneven in expected.course.uneven.items()
+        if uneven > MAX_UNEVEN
     ]
+    lost = expected.course.starved
+    if lost > _NOTED_SHARE:
+        share = f"About {100.0 * lost:.2g} % of the tissue of the start finds too little to live"
+        notes.append(f"{share} and would die at once.")
+    return notes

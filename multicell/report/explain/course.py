@@ -10,9 +10,11 @@ types or to what cells themselves are. Thresholds are those of the most numerous
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import Any, Final, final
 
@@ -28,7 +30,7 @@ from multicell.scene.dependences import circles, solving_order
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.pairs import drag
 from multicell.scene.responses import type_thresholds, usual_type
-from multicell.scene.scales import layer_height
+from multicell.scene.scales import layer_height, layer_reach
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius, typical_radius
 
@@ -56,6 +58,8 @@ class Course:
     cells: FloatArray  # (k,), dead ones included until they are removed
     radius: FloatArray  # (k,), µm
     starved: float = 0.0  # part of the tissue of the start that finds too little and dies at once
+    # by field: largest difference at the surface between directions, over the medium's level
+    uneven: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
 
 def expected_course(scene: Scene) -> Course:
@@ -71,7 +75,7 @@ def expected_course(scene: Scene) -> Course:
         if full or state.cells > _MAX_CELLS:
             break
     k = len(cells)
-    return Course(times[:k], np.array(cells), np.array(radius), state.starved)
+    return Course(times[:k], np.array(cells), np.array(radius), state.starved, state.uneven)
 
 
 def _times(scene: Scene) -> FloatArray:
@@ -100,6 +104,7 @@ class _Tissue:
         self._dead: list[tuple[float, float]] = []
         self._now = 0.0
         self.starved = math.nan  # part of the tissue of the start
+        self.uneven: dict[str, float] = {}
         self._factor = np.ones(SHELLS)
         size = typical_radius(scene)
         self._rate = 0.0  # of an unlimited population, 1/s
@@ -120,6 +125,7 @@ class _Tissue:
                 self._dimensions,
                 layer_height(scene, name),
                 type_thresholds(scene, name, "quiescence").get(usual_type(scene.types)),
+                partial(layer_reach, scene, name),
             )
             for name in (
                 solving_order(scene.nutrients, scene.reactions, scene.responses) if needed else ()
@@ -187,6 +193,9 @@ class _Tissue:
         for _ in range(_TURNS if self._circular else 1):
             for name, field in self._fields.items():
                 levels[name] = field.solve(shells, begin, end, self._cell_volume, levels)
+                cornered = field.nutrient.layout == "box" and not field.nutrient.sides
+                if scene.box is None and cornered:
+                    self.uneven[name] = max(self.uneven.get(name, 0.0), field.uneven())
         growth = growth_factor(self._plan, levels, np.zeros(SHELLS))
         hazard = self._hazard(levels)
         for name, field in self._fields.items():
@@ -277,8 +286,11 @@ class Profile:
         dimensions: int,
         height: float = 1.0,
         resting: float | None = None,
+        reach: Callable[[float], float] | None = None,
     ) -> None:
         self.nutrient = nutrient
+        self._reach = reach or (lambda radius: radius + nutrient.margin)  # along axes, µm
+        self._flow = self._surface = 0.0  # mM µm²/s, divided by 4 pi or 2 pi; radius, µm
         self.resting = resting  # threshold of quiescence, mM
         self._height = height  # of the layer in a plane, µm
         self._dimensions = dimensions
@@ -315,9 +327,8 @@ class Profile:
         volumes = np.diff(shells**d) / d
         middles = 0.5 * (shells[1:] + shells[:-1])
         between = field.diffusion * shells[1:-1] ** (d - 1) / np.diff(middles)
-        outside = self._outside(shells[-1])
-        flow = field.diffusion * shells[-1] ** (d - 1) / (shells[-1] - middles[-1])
-        surface = flow * outside / (flow + outside)
+        inside = (shells[-1] - middles[-1]) / (field.diffusion * shells[-1] ** (d - 1))
+        surface = 1.0 / (inside + self._resistance(shells[-1]))
         diagonal = np.zeros(len(volumes))
         diagonal[:-1] += between
         diagonal[1:] += between
@@ -334,8 +345,30 @@ class Profile:
             if change <= _FIELD_TOLERANCE * max(medium, 1e-30):
                 break
         self._last, self._active = level, _active(self.resting, level)
-        self._spend(4.0 * math.pi * surface * (medium - level[-1]), end - begin)
+        self._flow, self._surface = surface * (medium - level[-1]), float(shells[-1])
+        self._spend(4.0 * math.pi * self._flow, end - begin)
         return level
+
+    def uneven(self) -> float:
+        """Return the excess at the last surface along the axes of a box over the diagonals.
+
+        Over the medium's concentration. The field of a source in the middle of a cube with the half
+        edge a, relative to that in a ball, differs there by 0.185 (r/a)⁴ / a times the source, in a
+        square by 0.148 (r/a)⁴ (by series of harmonics, as their radii). That uptake
+        changes with the difference is left out, but where a rim round starved tissue takes up all.
+        """
+        field, d, radius = self.nutrient, self._dimensions, self._surface
+        if field.margin_shape == "tissue" or self._medium <= 0.0:
+            return 0.0
+        half = self._reach(radius)
+        scale = 0.185 / half if d == 3 else 0.148
+        found = self._flow / (field.diffusion_medium or field.diffusion)
+        found *= scale * (radius / half) ** 4
+        level = self._last
+        if level[0] < 0.5 * field.half_saturation < level[-1]:
+            # a flow through the surface in the fourth harmonic makes R / 9 D of itself there
+            found /= 1.0 + self._flow / (18.0 * field.diffusion * radius ** (d - 2) * level[-1])
+        return float(found / self._medium)
 
     def _now(self, time: float) -> float:
         """Return the concentration of the medium, of a finite one that which is left."""
@@ -352,13 +385,16 @@ class Profile:
             rate = field.decay + max(uptake, 0.0) / amount
             self._medium *= math.exp(-rate * dt)
 
-    def _outside(self, radius: float) -> float:
+    def _resistance(self, radius: float) -> float:
+        """Return that of the layer of medium, s/µm^d, divided by 4 pi or 2 pi."""
         field = self.nutrient
-        width = field.margin if field.layer is None else field.layer
+        end = radius + (field.margin if field.layer is None else field.layer)
+        if field.margin_shape == "tissue":
+            end = max(self._reach(radius), radius)
         coefficient = field.diffusion_medium or field.diffusion
         if self._dimensions == 2:
-            return float(coefficient / math.log1p(width / radius))
-        return float(coefficient * radius * (radius + width) / width)
+            return float(math.log(end / radius) / coefficient)
+        return float((end - radius) / (coefficient * radius * end))
 
     def _uptake(self, level: FloatArray, volume: float) -> FloatArray:
         """Return uptake over concentration, 1/s: amol/s in µm³ are mM/s.

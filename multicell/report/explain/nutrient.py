@@ -115,15 +115,22 @@ def _geometry(scene: Scene, nutrient: Nutrient, spacing: float) -> str:
         words = f"{' x '.join(map(str, counts))} {kind} of {edge:g} um that stand still"
         finer = box.finer(lengths, spacing)
         return f"{words} on the domain" + (f" ({finer})" if finer else "")
+    ends = ""
+    if nutrient.margin_shape == "tissue":
+        ends = f", with medium from {nutrient.margin:g} um beyond the nearest cell on"
     if scene.dimensions == 2:
-        return f"squares of {spacing:g} um that follow the cells, since the scene is flat"
+        return f"squares of {spacing:g} um that follow the cells, since the scene is flat{ends}"
     if nutrient.layout == "box":
-        return f"a grid of cubes of {spacing:g} um that follows the cells"
+        return f"a grid of cubes of {spacing:g} um that follows the cells{ends}"
     words = f"spherical shells of {spacing:g} um that follow the cells"
     if nutrient.layout == "auto":
-        return f"{words} while the tissue is round within 0.1, else a grid of cubes"
+        return f"{words} while the tissue is round within 0.1, else a grid of cubes{ends}"
     layer = nutrient.layer
-    return words if layer is None else f"{words}, in a layer of {layer:g} um round the tissue"
+    return (
+        f"{words}{ends}"
+        if layer is None
+        else f"{words}, in a layer of {layer:g} um round the tissue"
+    )
 
 
 def _medium(nutrient: Nutrient) -> str:
