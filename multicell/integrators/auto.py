@@ -10,11 +10,12 @@ number of cells (:mod:`multicell.integrators.costs`); the cheapest of these meth
   tolerances where fast modes move cells, at which they are about as exact as RKC2, and the whole
   in quiet tissue.
 
-Where the order of magnitude of λ, which is known without any evaluation, leaves no doubt, nothing
-is measured. Otherwise one evaluation gives the motion, and six products λ, unless its order of
-magnitude or an earlier one of this run is good enough for the choice. What coupling steps count
-corrects the model, and now and then the second choice is tried, as its extra cost is a fiftieth of
-what was spent since.
+Where the order of magnitude of λ, which is known without any evaluation, leaves no doubt with the
+motion that was seen last, or with any, nothing is measured. Otherwise one evaluation gives the
+motion, and six products λ, unless its order of magnitude or an earlier one of this run is good
+enough for the choice. In small tissue a look costs as much as many evaluations, and is taken less.
+What coupling steps count corrects the model, and now and then the second choice is tried, as its
+extra cost is a fiftieth of what was spent since.
 
 A method that cannot continue, or finds a mild step to be none, leaves the coupling step to the next
 one, from its beginning. Only methods that can hold the scene, by their own ``info``, are chosen
@@ -53,11 +54,12 @@ PATIENCE, _LONGER = 300, 3.0
 expects, before the step is left to another method."""
 _PASSES, _CALLS = 8.0, 2.0e3
 """Evaluations, and evaluations times cells by calls of Python, that it costs to measure λ."""
-_LOOK = 1.0e3  # evaluations times cells that it costs to judge a step by its motion
+_LOOK = 2.0e3  # evaluations times cells that it costs to judge a step by its motion
 _LEAST, _MOST = 0.3, 3.0
 """λ over its order of magnitude: of tissue in which it was not measured."""
-_NEAR, _OLD = 1.4, 16.0
-"""Factor by which λ may differ from the last measured one, once more in so many coupling steps."""
+_NEAR, _OLD = 1.4, 8.0
+"""Factor by which λ may differ from one that was measured so many coupling steps ago."""
+_NONE = 1e-15  # λ of one cell alone, 1/s
 _FURTHEST = 1.0  # motion of mildly stiff tissue over λΔt, µm: of cells that were placed anew
 _QUIET, _SHAKEN = 1e-3, 0.3
 """The way that fast modes carry the fastest cell, its speed over λ in tolerances: up to which there
@@ -66,6 +68,7 @@ _AS_EXACT = 0.1
 """Tolerance at which implicit methods are about as exact as RKC2 where there are fast modes to
 follow, over that of RKC2."""
 _PRESSED = 3.0  # products of Rosenbrock's solves over CVODE's where tissue resists compression
+_PARTED = 1.6  # work of CVODE over the model's where contacts remember, and part at once
 _TRIALS, _RARELY = 0.02, 8
 """Part of the cost that trials of the second choice may add, and coupling steps between two."""
 
@@ -81,6 +84,7 @@ class Choice:
     - ``step``: what its cost follows from; None where nothing was measured
     - ``ratio``, float: λ over its order of magnitude as measured here; 0 where it was not
     - ``trial``, bool: whether it is the second choice, to learn its cost
+    - ``limit``, float: passes above which the motion must have changed since it was seen
     """
 
     stiffness: float
@@ -89,6 +93,7 @@ class Choice:
     step: CouplingStep | None = None
     ratio: float = 0.0
     trial: bool = False
+    limit: float = math.inf
 
     @property
     def method(self) -> str:
@@ -130,21 +135,29 @@ class Auto(ErrorControl):
         patience = 0 if again else self._patience(choice, len(system))
         # without λ it says little that a step was dearer than expected
         taught, spent = choice.step if choice.ratio or known.ratio else None, 0.0
+        total = work.effort
         for name in choice.order:
             before, taken, rubbing = work.effort, work.steps, work.friction_iterations
             outcome = self.method(name, choice.finer, patience).integrate(system, position)
             _count(system, name, taken)
-            passes = float(work.effort - before - (work.friction_iterations - rubbing))
             if taught is not None:
-                expected = taught.work(name, choice.finer_for(name))
-                known = known.counted(_NUMBER[name], passes, expected)
+                passes = float(work.effort - before - (work.friction_iterations - rubbing))
+                expected, kind = taught.work(name, choice.finer_for(name)), CANDIDATES[name]
+                known = known.counted(_NUMBER[name], passes, expected, implicit=kind.info.implicit)
                 spent += passes * taught.unit(name)
             if outcome.done:
                 break
         if not again:
+            step, speed = choice.step, known.speed
+            if step is not None:
+                speed = step.motion / (motion.end - motion.begin)
+            elif work.effort - total > choice.limit:
+                speed = 0.0
             system.learnt = known._replace(
                 ratio=choice.ratio or known.ratio,
                 age=0.0 if choice.ratio else known.age + 1.0,
+                speed=speed,
+                seen=0.0 if step is not None else known.seen + 1.0,
                 saved=0.0 if choice.trial else known.saved + spent,
                 steps=0.0 if choice.trial else known.steps + 1.0,
                 begin=motion.begin,
@@ -158,32 +171,41 @@ class Auto(ErrorControl):
     def choose(self, system: Mechanics, position: FloatArray) -> Choice:
         """Choose a method for the coupling step of ``system``, as at its beginning.
 
-        Nothing is measured where the order of magnitude of λ leaves no doubt.
+        Nothing is measured where what is known leaves no doubt about an explicit method.
         """
-        known = Learnt(*system.learnt)
-        low, high = _between(system, known)
-        if low > 0.0:
-            length = system.motion.end - system.motion.begin
-            seen = _seen(system, known, _tolerance(system, self.rtol, self.atol))
-            name = _sure(seen, _rounded(low * length), _rounded(high * length))
-            if name:
-                return Choice(math.sqrt(low * high) * length, _first(name, seen.able))
-        return self.by_motion(system, position)
+        glance = self._glance(system)
+        if glance.low > 0.0:
+            motions = glance.known.motions(system.motion.end - system.motion.begin)
+            ends = motions or (0.0, _FURTHEST * math.sqrt(glance.low * glance.high))
+            name, limit = _sure(glance.seen, *map(_rounded, (glance.low, glance.high, *ends)))
+            if name and not CANDIDATES[name].info.implicit:
+                z = math.sqrt(glance.low * glance.high)
+                return Choice(z, _first(name, glance.seen.able), limit=limit)
+        return self._by_motion(system, position, glance)
 
     def by_motion(self, system: Mechanics, position: FloatArray) -> Choice:
         """Return the method that is cheapest for the motion at the beginning of the step.
 
         λ is measured where what is known of it leaves a doubt.
         """
+        return self._by_motion(system, position, self._glance(system))
+
+    def _glance(self, system: Mechanics) -> _Glance:
+        known, length = Learnt(*system.learnt), system.motion.end - system.motion.begin
+        low, high = _between(system, known)
+        seen = _seen(system, known, _tolerance(system, self.rtol, self.atol))
+        return _Glance(known, seen, low * length, high * length)
+
+    def _by_motion(self, system: Mechanics, position: FloatArray, glance: _Glance) -> Choice:
         from multicell.integrators.limits import stiffness_scale
 
-        known, tolerance = Learnt(*system.learnt), _tolerance(system, self.rtol, self.atol)
-        seen, length = _seen(system, known, tolerance), system.motion.end - system.motion.begin
+        known, seen, low, high = glance
+        tolerance = _tolerance(system, self.rtol, self.atol)
+        length = system.motion.end - system.motion.begin
         motion, furthest = (speed * length for speed in _speeds(system, position))
-        low, high = (rate * length for rate in _between(system, known))
         z, ratio, name = math.sqrt(low * high), 0.0, ""
         if low > 0.0:
-            name = _sure(seen, *map(_rounded, (low, high, motion, furthest)))
+            name, _ = _sure(seen, *map(_rounded, (low, high, motion, motion, furthest)))
         if not name:
             rate, scale = measured_rate(system, position), stiffness_scale(system)
             z, ratio = rate * length, rate / scale if scale > 0.0 else 0.0
@@ -248,6 +270,7 @@ class _Seen(NamedTuple):
     - ``tolerance``, ``cells``: logarithms
     - ``python``: whether evaluations go through Python
     - ``pressed``: whether the tissue resists compression
+    - ``parts``: whether contacts remember, and part at once
     - ``excess``: four times log(counted / expected) of each method
     """
 
@@ -256,6 +279,7 @@ class _Seen(NamedTuple):
     cells: int
     python: bool
     pressed: bool
+    parts: bool
     excess: tuple[int, ...]
 
 
@@ -263,9 +287,18 @@ def _seen(system: Mechanics, known: Learnt, tolerance: float) -> _Seen:
     from multicell.integrators.driver import needs_python
 
     excess = tuple(round(4.0 * x) for x in known.excess)
-    n, python, pressed = len(system), needs_python(system), system.compression is not None
-    able = tuple(candidates(system))
-    return _Seen(able, _rounded(tolerance), _rounded(n), python, pressed, excess)
+    able, n, pressed = tuple(candidates(system)), len(system), system.compression is not None
+    python, parts = needs_python(system), system.law.remembers
+    return _Seen(able, _rounded(tolerance), _rounded(n), python, pressed, parts, excess)
+
+
+class _Glance(NamedTuple):
+    """Facts of a coupling step without an evaluation: ``low`` and ``high`` are bounds of λΔt."""
+
+    known: Learnt
+    seen: _Seen
+    low: float
+    high: float
 
 
 def _rounded(value: float) -> int:
@@ -283,27 +316,30 @@ def _costs(
             kind = CANDIDATES[name]
             work = step.work(name, finer if kind.info.implicit else 1.0)
             work *= _PRESSED if seen.pressed and kind is Rosenbrock else 1.0
+            work *= _PARTED if seen.parts and kind is Cvode else 1.0
             costs[name] = work * step.unit(name) * math.exp(tuple(excess)[number])
     return costs
 
 
 @lru_cache(maxsize=4096)
 def _sure(
-    seen: _Seen, low: int, high: int, motion: int | None = None, furthest: int | None = None
-) -> str:
+    seen: _Seen, low: int, high: int, slow: int, fast: int, furthest: int | None = None
+) -> tuple[str, float]:
     """Return the method that is cheapest but for the cost of a closer look, or nothing.
 
-    It is the cheapest in the middle, and dearer than another by no more than that at the ends.
+    It is the cheapest in the middle, and dearer than another by no more than that at the ends. All
+    arguments are logarithms of :func:`_rounded`. Returns too how many passes it takes at most.
 
-    - ``low``, ``high``: what λΔt is between, as logarithms of :func:`_rounded`
-    - ``motion``, ``furthest``, µm: root mean square and largest motion; None for any
+    - ``low``, ``high``: what λΔt is between
+    - ``slow``, ``fast``, µm: what the root mean square motion is between
+    - ``furthest``, µm: largest motion; None where no look at the motion has been taken
     """
     excess = [0.25 * x for x in seen.excess]
     tolerance, n = 2.0 ** (0.25 * seen.tolerance), max(round(2.0 ** (0.25 * seen.cells)), 1)
+    ways = [2.0 ** (0.25 * x) for x in dict.fromkeys((slow, fast))]
 
     def cases(z: float) -> list[dict[str, float]]:
         far = 1.0 if furthest is None else _finer(2.0 ** (0.25 * furthest), z, tolerance)
-        ways = (0.0, _FURTHEST * z) if motion is None else (2.0 ** (0.25 * motion),)
         steps = [CouplingStep(z, way, tolerance, n, seen.python) for way in ways]
         return [_costs(seen, step, far, excess) for step in steps]
 
@@ -311,8 +347,11 @@ def _sure(
     best = min(seen.able, key=lambda name: sum(costs[name] for costs in usual))
     every = [*usual, *cases(ends[0]), *cases(ends[1])]
     regret = max(costs[best] - min(costs.values()) for costs in every)
-    closer = 1.0 + _LOOK / n if motion is None else _PASSES + _CALLS / n
-    return best if regret <= closer else ""
+    closer = 1.0 + _LOOK / n if furthest is None else _PASSES + _CALLS / n
+    if regret > closer:
+        return "", math.inf
+    unit = CouplingStep(1.0, 1.0, tolerance, n, seen.python).unit(best)
+    return best, max(costs[best] for costs in every) / unit
 
 
 def _first(name: str, able: Collection[str]) -> tuple[str, ...]:
@@ -334,15 +373,20 @@ def _tolerance(system: Mechanics, rtol: float, atol: float) -> float:
 def _between(system: Mechanics, known: Learnt) -> tuple[float, float]:
     """Return bounds of λ, 1/s; zeros where only a measurement gives them.
 
-    In gels and against compression λ does not follow its order of magnitude.
+    In gels and against compression λ does not follow its order of magnitude: a measured one counts
+    for some coupling steps.
     """
     from multicell.integrators.limits import stiffness_scale
 
+    if len(system) < 2 and system.walls is None:
+        return _NONE, _NONE
+    scale, near = stiffness_scale(system), _NEAR ** (known.age / _OLD)
     gel = system.walls is not None and system.walls.shear is not None
-    scale = 0.0 if gel or system.compression is not None else stiffness_scale(system)
+    if gel or system.compression is not None:
+        rate = known.ratio * scale if known.age < _OLD else 0.0
+        return rate / near, rate * near
     if not known.ratio:
         return _LEAST * scale, _MOST * scale
-    near = _NEAR ** (1.0 + known.age / _OLD)
     low = max(known.ratio / near, min(known.ratio, _LEAST))
     return low * scale, min(known.ratio * near, max(known.ratio, _MOST)) * scale
 

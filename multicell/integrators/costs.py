@@ -17,7 +17,8 @@ named there.
 
 A run corrects the model by what its coupling steps have counted: the running mean of log(counted /
 expected) of each method (``gain``), in which a step that was dearer than expected by one method is
-taken to be dearer by the others, too (``alike``).
+taken to be dearer by the others, too (``alike``). One that was more than twice as dear is learnt at
+once, so that it is not taken again for want of lessons.
 """
 
 from __future__ import annotations
@@ -27,8 +28,17 @@ from functools import cache
 from importlib import resources
 from typing import Any, Final, NamedTuple, final
 
-_SURE: Final = 2.0
+_SURE: Final = 2.5
 """Largest |log(counted / expected)| that is learnt from one step: one that jams says little."""
+_SURPRISE: Final = 0.7
+"""Log(counted / expected) from which on a dear step is learnt at once."""
+_SHARED: Final = (0.8, 0.6)
+"""Part of that which other methods get: after an explicit method, and after an implicit one, of
+which only the solves may have jammed."""
+_NEAR: Final = 3.0
+"""Factor by which the motion may differ from the last that was seen."""
+_FORGETS: Final = 8.0
+"""Coupling steps after which it may differ by the square of that."""
 
 
 @cache
@@ -86,6 +96,8 @@ class Learnt(NamedTuple):
 
     - ``ratio``: λ as last measured over its order of magnitude, 0 before
     - ``age``: coupling steps since then
+    - ``speed``, µm/s: root mean square of the velocities as last seen, 0 before
+    - ``seen``: coupling steps since then
     - ``saved``: cost of the coupling steps since the second choice was last tried, in evaluations
     - ``steps``: how many these were
     - ``begin``, ``end``, s, ``atol``, µm, ``taken``, ``finer``: the last coupling step, the
@@ -95,6 +107,8 @@ class Learnt(NamedTuple):
 
     ratio: float = 0.0
     age: float = 0.0
+    speed: float = 0.0
+    seen: float = 0.0
     saved: float = 0.0
     steps: float = 0.0
     begin: float = -1.0
@@ -117,14 +131,25 @@ class Learnt(NamedTuple):
         """Log(counted / expected) of each method."""
         return self[-5:]
 
-    def counted(self, method: int, counted: float, expected: float) -> Learnt:
+    def motions(self, length: float) -> tuple[float, float] | None:
+        """Return bounds of the motion in a coupling step, µm; None where none was seen."""
+        near = _NEAR ** (1.0 + self.seen / _FORGETS)
+        return (self.speed * length / near, self.speed * length * near) if self.speed else None
+
+    def counted(self, method: int, counted: float, expected: float, *, implicit: bool) -> Learnt:
         """Return it after a coupling step by a method, given by its number.
 
         - ``counted``, ``expected``: its passes, the latter without correction
+        - ``implicit``: whether the method is
         """
         known = constants()
         found = max(-_SURE, min(_SURE, math.log(max(counted, 1.0) / expected)))
-        change = known["gain"] * (found - self.excess[method])
-        alike = known["alike"] * change
-        excess = [x + (change if k == method else alike) for k, x in enumerate(self.excess)]
+        change, alike = found - self.excess[method], known["alike"]
+        if change > _SURPRISE:
+            alike = _SHARED[implicit]
+        else:
+            change *= known["gain"]
+        excess = [
+            x + (change if k == method else alike * change) for k, x in enumerate(self.excess)
+        ]
         return Learnt(*self[:-5], *excess)

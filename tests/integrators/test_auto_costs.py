@@ -88,7 +88,7 @@ def test_a_motion_out_of_the_plane_does_not_count():
 
 def test_what_is_counted_corrects_the_expectation():
     known, constants = Learnt(), costs.constants()
-    once = known.counted(2, 200.0, 100.0)
+    once = known.counted(2, 200.0, 100.0, implicit=False)
     assert once.excess[2] == pytest.approx(constants["gain"] * math.log(2.0))
     for k in (0, 1, 3, 4):
         assert once.excess[k] == pytest.approx(constants["alike"] * once.excess[2])
