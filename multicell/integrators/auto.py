@@ -52,15 +52,17 @@ if TYPE_CHECKING:
 PATIENCE, _LONGER = 300, 3.0
 """Evaluations that Adams-Bashforth may expect to take, by many cells, and over what the model
 expects, before the step is left to another method."""
-_PASSES, _CALLS = 8.0, 2.0e3
-"""Evaluations, and evaluations times cells by calls of Python, that it costs to measure λ."""
-_LOOK = 2.0e3  # evaluations times cells that it costs to judge a step by its motion
+_PASSES, _CALLS = 8.0, 3.0e3
+"""Evaluations, and evaluations times cells by calls of Python, above which it pays to measure λ: a
+third of what it costs in small tissue, as it is used again in later coupling steps."""
+_LOOK = 4.0e3  # evaluations times cells above which it pays to judge a step by its motion
 _LEAST, _MOST = 0.3, 3.0
 """λ over its order of magnitude: of tissue in which it was not measured."""
 _NEAR, _OLD = 1.4, 8.0
 """Factor by which λ may differ from one that was measured so many coupling steps ago."""
 _NONE = 1e-15  # λ of one cell alone, 1/s
-_FURTHEST = 1.0  # motion of mildly stiff tissue over λΔt, µm: of cells that were placed anew
+_TYPICAL, _FURTHEST = 0.1, 1.0
+"""Motion of mildly stiff tissue over λΔt, µm: usually, and of cells that were placed anew."""
 _QUIET, _SHAKEN = 1e-3, 0.3
 """The way that fast modes carry the fastest cell, its speed over λ in tolerances: up to which there
 are no fast modes to follow, and from which on there are."""
@@ -133,8 +135,7 @@ class Auto(ErrorControl):
         else:
             choice = self.choose(system, position)
         patience = 0 if again else self._patience(choice, len(system))
-        # without λ it says little that a step was dearer than expected
-        taught, spent = choice.step if choice.ratio or known.ratio else None, 0.0
+        taught, spent = choice.step, 0.0
         total = work.effort
         for name in choice.order:
             before, taken, rubbing = work.effort, work.steps, work.friction_iterations
@@ -175,11 +176,12 @@ class Auto(ErrorControl):
         """
         glance = self._glance(system)
         if glance.low > 0.0:
+            z = math.sqrt(glance.low * glance.high)
             motions = glance.known.motions(system.motion.end - system.motion.begin)
-            ends = motions or (0.0, _FURTHEST * math.sqrt(glance.low * glance.high))
-            name, limit = _sure(glance.seen, *map(_rounded, (glance.low, glance.high, *ends)))
+            usual, most = motions or (_TYPICAL * z, _FURTHEST * z)
+            about = glance.low, glance.high, 0.0, usual, most  # tissue may be at rest in any step
+            name, limit = _sure(glance.seen, *map(_rounded, about))
             if name and not CANDIDATES[name].info.implicit:
-                z = math.sqrt(glance.low * glance.high)
                 return Choice(z, _first(name, glance.seen.able), limit=limit)
         return self._by_motion(system, position, glance)
 
@@ -205,7 +207,7 @@ class Auto(ErrorControl):
         motion, furthest = (speed * length for speed in _speeds(system, position))
         z, ratio, name = math.sqrt(low * high), 0.0, ""
         if low > 0.0:
-            name, _ = _sure(seen, *map(_rounded, (low, high, motion, motion, furthest)))
+            name, _ = _sure(seen, *map(_rounded, (low, high, motion, motion, motion, furthest)))
         if not name:
             rate, scale = measured_rate(system, position), stiffness_scale(system)
             z, ratio = rate * length, rate / scale if scale > 0.0 else 0.0
@@ -323,7 +325,13 @@ def _costs(
 
 @lru_cache(maxsize=4096)
 def _sure(
-    seen: _Seen, low: int, high: int, slow: int, fast: int, furthest: int | None = None
+    seen: _Seen,
+    low: int,
+    high: int,
+    slow: int,
+    usual: int,
+    fast: int,
+    furthest: int | None = None,
 ) -> tuple[str, float]:
     """Return the method that is cheapest but for the cost of a closer look, or nothing.
 
@@ -331,21 +339,21 @@ def _sure(
     arguments are logarithms of :func:`_rounded`. Returns too how many passes it takes at most.
 
     - ``low``, ``high``: what λΔt is between
-    - ``slow``, ``fast``, µm: what the root mean square motion is between
+    - ``slow``, ``usual``, ``fast``, µm: root mean square motion, what it is between
     - ``furthest``, µm: largest motion; None where no look at the motion has been taken
     """
     excess = [0.25 * x for x in seen.excess]
     tolerance, n = 2.0 ** (0.25 * seen.tolerance), max(round(2.0 ** (0.25 * seen.cells)), 1)
-    ways = [2.0 ** (0.25 * x) for x in dict.fromkeys((slow, fast))]
 
-    def cases(z: float) -> list[dict[str, float]]:
-        far = 1.0 if furthest is None else _finer(2.0 ** (0.25 * furthest), z, tolerance)
-        steps = [CouplingStep(z, way, tolerance, n, seen.python) for way in ways]
+    def cases(z: int, *ways: int) -> list[dict[str, float]]:
+        stiffness, moved = 2.0 ** (0.25 * z), [2.0 ** (0.25 * x) for x in dict.fromkeys(ways)]
+        far = 1.0 if furthest is None else _finer(2.0 ** (0.25 * furthest), stiffness, tolerance)
+        steps = [CouplingStep(stiffness, way, tolerance, n, seen.python) for way in moved]
         return [_costs(seen, step, far, excess) for step in steps]
 
-    usual, ends = cases(2.0 ** (0.125 * (low + high))), [2.0 ** (0.25 * x) for x in (low, high)]
-    best = min(seen.able, key=lambda name: sum(costs[name] for costs in usual))
-    every = [*usual, *cases(ends[0]), *cases(ends[1])]
+    (middle,) = cases(round(0.5 * (low + high)), usual)
+    best = min(seen.able, key=middle.__getitem__)
+    every = [middle, *cases(low, slow, fast), *cases(high, slow, fast)]
     regret = max(costs[best] - min(costs.values()) for costs in every)
     closer = 1.0 + _LOOK / n if furthest is None else _PASSES + _CALLS / n
     if regret > closer:

@@ -35,7 +35,7 @@ _SURPRISE: Final = 0.7
 _SHARED: Final = (0.8, 0.6)
 """Part of that which other methods get: after an explicit method, and after an implicit one, of
 which only the solves may have jammed."""
-_NEAR: Final = 3.0
+_NEAR: Final = 2.0
 """Factor by which the motion may differ from the last that was seen."""
 _FORGETS: Final = 8.0
 """Coupling steps after which it may differ by the square of that."""
@@ -132,9 +132,9 @@ class Learnt(NamedTuple):
         return self[-5:]
 
     def motions(self, length: float) -> tuple[float, float] | None:
-        """Return bounds of the motion in a coupling step, µm; None where none was seen."""
+        """Return the motion in a coupling step as last seen, and at most, µm; or None."""
         near = _NEAR ** (1.0 + self.seen / _FORGETS)
-        return (self.speed * length / near, self.speed * length * near) if self.speed else None
+        return (self.speed * length, self.speed * length * near) if self.speed else None
 
     def counted(self, method: int, counted: float, expected: float, *, implicit: bool) -> Learnt:
         """Return it after a coupling step by a method, given by its number.
