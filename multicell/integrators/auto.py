@@ -143,8 +143,10 @@ class Auto(ErrorControl):
             _count(system, name, taken)
             if taught is not None:
                 passes = float(work.effort - before - (work.friction_iterations - rubbing))
-                expected, kind = taught.work(name, choice.finer_for(name)), CANDIDATES[name]
-                known = known.counted(_NUMBER[name], passes, expected, implicit=kind.info.implicit)
+                expected = taught.work(name, choice.finer_for(name))
+                expected *= _dearer(name, system.compression is not None, system.law.remembers)
+                implicit = CANDIDATES[name].info.implicit
+                known = known.counted(_NUMBER[name], passes, expected, implicit=implicit)
                 spent += passes * taught.unit(name)
             if outcome.done:
                 break
@@ -317,10 +319,17 @@ def _costs(
         if name in seen.able:
             kind = CANDIDATES[name]
             work = step.work(name, finer if kind.info.implicit else 1.0)
-            work *= _PRESSED if seen.pressed and kind is Rosenbrock else 1.0
-            work *= _PARTED if seen.parts and kind is Cvode else 1.0
+            work *= _dearer(name, seen.pressed, seen.parts)
             costs[name] = work * step.unit(name) * math.exp(tuple(excess)[number])
     return costs
+
+
+def _dearer(name: str, pressed: bool, parts: bool) -> float:
+    """Return the work of a method over that of the model, where ``_Seen`` says why."""
+    kind = CANDIDATES[name]
+    return (_PRESSED if pressed and kind is Rosenbrock else 1.0) * (
+        _PARTED if parts and kind is Cvode else 1.0
+    )
 
 
 @lru_cache(maxsize=4096)

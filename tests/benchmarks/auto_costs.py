@@ -1,8 +1,8 @@
 """Counted work of each method in coupling steps: what `auto` is fitted to, and how near it comes.
 
 Problem   coupling steps of small runs, from bitwise the states of a run by the scene's defaults:
-          of scenes that the model of costs is fitted to, and (--unseen) the first ten of ten scenes
-          that were written down after the last fit
+          of scenes that the model of costs is fitted to, and (--unseen) the first six of ten scenes
+          that were drawn after the last fit
 Error     as in the tiles of docs/which-integrator.md: root mean square distance of the cells from
           the reference, over that of the motion that the best dilation leaves
 Question  counted work and CPU time of `auto` over the least of any method, at errors of 1 and
@@ -54,7 +54,7 @@ from multicell.mechanics.decay_rate import largest_decay_rate
 
 GOALS = (0.01, 0.001)
 TOLERANCES = tuple(10.0 ** (-0.5 * k) for k in range(9))  # µm
-SAMPLED, WINDOW, CONSECUTIVE = 4, 40, 10
+SAMPLED, WINDOW, CONSECUTIVE = 4, 40, 6
 """Steps of a scene that is fitted to, out of how many, and of an unseen one."""
 DEAR, LEAST = (12.0, 4.0), (1.0, 0.2)
 """Cost of a solve over the least that reached the finest goal at which a method is given up, and

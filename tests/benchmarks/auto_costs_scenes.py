@@ -109,92 +109,98 @@ TUNED = _tuned()
 """What the model of costs is fitted to."""
 
 UNSEEN: Changes = {
-    "500 growing at 0.15": (
+    "32 stiff cells": (
         "grow-2000",
-        {"initial.count": 500, "drag.viscosity": 0.15, "initial.spacing": 0.95},
-    ),
-    "40 soft cells in water": (
-        "settle",
         {
-            "initial.count": 40,
-            "drag.viscosity": 0.002,
-            "cells.young": "0.2 kPa",
-            "coupling_step": "15 min",
-            "duration": "3 h",
+            "initial.count": 32,
+            "drag.viscosity": 0.14,
+            "contact.surface_energy": 0.043,
+            "cells.young": "2.7 kPa",
         },
     ),
-    "slab between walls": (
+    "80 soft cells": (
+        "grow-2000",
+        {
+            "initial.count": 80,
+            "drag.viscosity": 0.067,
+            "coupling_step": "5 min",
+            "contact.surface_energy": 0.047,
+            "cells.young": "0.32 kPa",
+        },
+    ),
+    "sheet at 0.025": (
+        "grow-2000",
+        {
+            "initial.count": 91,
+            "dimensions": 2,
+            "initial.jitter": 0.0,
+            "drag.viscosity": 0.025,
+            "coupling_step": "5 min",
+        },
+    ),
+    "waves at 4.7": (
         "growth",
         {
-            "initial.count": 60,
+            "initial.count": 112,
             "initial.stage": "uniform",
-            "drag.viscosity": 0.1,
-            "domain": {
-                "x": ["-60 um", "60 um"],
-                "y": ["-60 um", "60 um"],
-                "z": ["-25 um", "25 um"],
-            },
+            "initial.jitter": 0.02,
+            "drag.viscosity": 4.7,
+            "coupling_step": "2 min",
             "duration": "4 h",
         },
     ),
-    "newborn sheet at 0.01": (
+    "exact JKR at 3.2": (
         "grow-2000",
         {
-            "initial.count": 300,
-            "initial.stage": "birth",
-            "dimensions": 2,
-            "initial.jitter": 0.01,
-            "drag.viscosity": 0.01,
-        },
-    ),
-    "Hertz, long steps": (
-        "grow-2000",
-        {
-            "initial.count": 90,
-            "contact": {"law": "hertz"},
-            "drag.viscosity": 2.0,
+            "initial.count": 36,
+            "contact": {"law": "exact-jkr", "surface_energy": 0.03},
+            "drag.viscosity": 3.2,
             "coupling_step": "20 min",
-            "growth.cycle_time": "12 h",
         },
     ),
-    "fast runners in syrup": (
+    "runners at 0.014": (
         "settle",
         {
-            "initial.count": 200,
-            "motility": {"force": "1 nN", "persistence": "5 min"},
-            "drag.viscosity": 3.0,
-            "coupling_step": "5 min",
+            "initial.count": 80,
+            "motility": {"force": "0.2 nN", "persistence": "15 min"},
+            "drag.viscosity": 0.014,
+            "coupling_step": "20 min",
+            "duration": "8 h",
+        },
+    ),
+    "Hertz at 0.58": (
+        "grow-2000",
+        {"initial.count": 92, "contact": {"law": "hertz"}, "drag.viscosity": 0.58},
+    ),
+    "box at 0.013": (
+        "growth",
+        {
+            "initial.count": 104,
+            "initial.stage": "uniform",
+            "drag.viscosity": 0.013,
+            "duration": "4 h",
+            "domain": {axis: ["-28 um", "28 um"] for axis in "xyz"},
+        },
+    ),
+    "sticky, 2 min": (
+        "settle",
+        {
+            "initial.count": 106,
+            "drag.viscosity": 0.41,
+            "contact.surface_energy": 0.25,
+            "coupling_step": "2 min",
             "duration": "1 h",
         },
     ),
-    "sticky sheet": (
+    "newborn at 1.1": (
         "grow-2000",
         {
-            "initial.count": 130,
-            "dimensions": 2,
-            "initial.jitter": 0.0,
-            "contact": {"law": "jkr", "surface_energy": 0.3},
-            "drag.viscosity": 1.5,
-        },
-    ),
-    "30 stiff cells": (
-        "growth",
-        {
-            "initial.count": 30,
-            "initial.stage": "uniform",
-            "cells.young": "5 kPa",
-            "drag.viscosity": 1.0,
-        },
-    ),
-    "newborn ball at 0.002": (
-        "grow-2000",
-        {
-            "initial.count": 70,
+            "initial.count": 50,
             "initial.stage": "birth",
             "initial.jitter": 0.03,
-            "drag.viscosity": 0.002,
+            "cells.young": "1.8 kPa",
+            "drag.viscosity": 1.1,
         },
     ),
-    "compressed at 0.3": ("compression", {"initial.count": 100, "drag.viscosity": 0.3}),
 }
-"""What was written down after the last fit and the last change of the choice."""
+"""What was drawn after the last fit and the last change of the choice."""
