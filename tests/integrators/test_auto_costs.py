@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from strategies import cluster, mechanics
 
+from multicell import JKR
+from multicell.contact.exact_jkr import ExactJKR
 from multicell.integrators import auto, costs
 from multicell.integrators.auto import CANDIDATES, Auto, measured_rate
 from multicell.integrators.costs import CouplingStep, Learnt
@@ -93,10 +95,77 @@ def test_what_is_counted_corrects_the_expectation():
     for k in (0, 1, 3, 4):
         assert once.excess[k] == pytest.approx(constants["alike"] * once.excess[2])
     for _ in range(60):
-        once = once.counted(2, 200.0, 100.0)
+        once = once.counted(2, 200.0, 100.0, implicit=False)
     assert once.excess[2] == pytest.approx(math.log(2.0), rel=1e-3)
-    jammed = known.counted(0, 1e9, 1.0)
-    assert jammed.excess[0] == pytest.approx(constants["gain"] * costs._SURE)
+    cheap = known.counted(0, 1.0, 1e9, implicit=False)
+    assert cheap.excess[0] == pytest.approx(-constants["gain"] * costs._SURE)
+
+
+def test_a_step_that_was_many_times_as_dear_is_learnt_at_once():
+    """By an implicit method, whose solves alone may have jammed, more apart from the others."""
+    known = Learnt()
+    apart = []
+    for method, implicit in ((2, False), (4, True)):
+        after = known.counted(method, 750.0, 100.0, implicit=implicit).excess
+        assert after[method] == pytest.approx(math.log(7.5))
+        apart.append(after[method] - after[0])
+    assert 0.3 < apart[0] < apart[1]
+    # one that was expected to be half as dear as another is not taken again
+    assert math.exp(apart[1]) > 2.0
+    jammed = known.counted(4, 1e9, 1.0, implicit=True)
+    assert jammed.excess[4] == pytest.approx(costs._SURE)
+
+
+def test_a_method_that_jams_is_not_taken_again():
+    """Where another was expected to cost little more; the run learns it from the count."""
+    position, radius, young = cluster(100, 2, spacing=0.9)
+    system = mechanics(radius, young, duration=2e6)
+    method = Auto(atol=0.1)
+    choice = method.by_motion(system, position)
+    seen = auto._seen(system, Learnt(), 0.1)
+    assert CANDIDATES[choice.method].info.implicit
+    found = auto._costs(seen, choice.step, choice.finer, (0.0,) * 5)
+    second = sorted(found.values())[1] / found[choice.method]
+    assert second < 2.0
+    number, expected = NUMBER[choice.method], 100.0
+    system.learnt = Learnt().counted(number, 7.5 * expected, expected, implicit=True)
+    assert method.by_motion(system, position).method != choice.method
+
+
+def test_cvode_is_expected_to_be_dearer_where_contacts_part_at_once():
+    _, radius, young = cluster(30, 2, spacing=0.9)
+    step = MIDDLE._replace(cells=30)
+    found = []
+    for law in (JKR(surface_energy=0.1), ExactJKR(surface_energy=0.1)):
+        seen = auto._seen(mechanics(radius, young, law), Learnt(), 0.1)
+        found.append(auto._costs(seen._replace(python=False), step, 1.0, (0.0,) * 5))
+    for name in CANDIDATES:
+        factor = auto._PARTED if name == "cvode" else 1.0
+        assert found[1][name] == pytest.approx(factor * found[0][name])
+
+
+def test_motion_that_was_seen_spares_a_look(monkeypatch):
+    """Until a step is dearer than any such motion would make it."""
+    position, radius, young = cluster(100, 2, spacing=0.9)
+    system = mechanics(radius, young, duration=600.0)
+    method, looks = Auto(atol=0.003), []
+    speeds = auto._speeds
+    monkeypatch.setattr(auto, "_speeds", lambda *args: looks.append(1) or speeds(*args))
+    system.learnt = Learnt(speed=3e-5)
+    spared = method.choose(system, position)
+    assert spared.step is None
+    assert not looks
+    assert spared.limit < 1e3
+    system.learnt = Learnt(speed=3e-5, seen=100.0)
+    assert method.choose(system, position).step is not None
+    assert len(looks) == 1
+    for limit, kept in ((0.0, 0.0), (1e9, 3e-5)):
+        system.learnt = Learnt(speed=3e-5)
+        monkeypatch.setattr(Auto, "choose", lambda *_, x=limit: replace(spared, limit=x))
+        system.begin(replace(system.motion, begin=limit, end=limit + 600.0))
+        assert method.integrate(system, position).done
+        assert Learnt(*system.learnt).speed == kept
+        assert Learnt(*system.learnt).seen == 1.0
 
 
 def test_a_method_that_was_dearer_than_expected_is_left():
@@ -151,7 +220,7 @@ def test_a_measured_rate_is_used_again_as_long_as_it_leaves_no_doubt(monkeypatch
         ages.append(Learnt(*system.learnt).age)
     assert 1 <= len(measured) < 10
     assert Learnt(*system.learnt).ratio > 0.0
-    assert max(ages) <= 17.0
+    assert max(ages) <= 19.0
 
 
 def run_of(**changes):
@@ -221,11 +290,26 @@ def test_an_old_measured_rate_says_no_more_than_none():
     system = mechanics(np.full(20, 5.0), np.ones(20), duration=60.0)
     none = auto._between(system, Learnt())
     known = [auto._between(system, Learnt(ratio=0.8, age=age)) for age in (0.0, 16.0, 1e4)]
+    assert known[0][0] == known[0][1]
     for (low, high), (lower, higher) in pairwise(known):
-        assert lower < low < high < higher
+        assert lower < low <= high < higher
     assert known[-1] == pytest.approx(none)
-    assert known[0][1] / known[0][0] == pytest.approx(auto._NEAR**2)
+    assert known[1][1] / known[1][0] == pytest.approx(auto._NEAR**4)
     # one that was measured outside of the usual range stays possible
     low, high = auto._between(system, Learnt(ratio=9.0, age=1e4))
     assert low == pytest.approx(none[0])
     assert high == pytest.approx(3.0 * none[1])
+
+
+def test_a_measured_rate_of_compressed_tissue_counts_for_some_steps():
+    """Before and after that, only a measurement gives it; of one cell alone it is nothing."""
+    system = mechanics(np.full(20, 5.0), np.ones(20), duration=60.0)
+    scale = auto._between(system, Learnt(ratio=1.0))[0]
+    system.compression = object()
+    assert auto._between(system, Learnt()) == (0.0, 0.0)
+    low, high = auto._between(system, Learnt(ratio=9.0, age=4.0))
+    assert math.sqrt(low * high) == pytest.approx(9.0 * scale)
+    assert high / low == pytest.approx(auto._NEAR)
+    assert auto._between(system, Learnt(ratio=9.0, age=auto._OLD)) == (0.0, 0.0)
+    alone = mechanics(np.array([5.0]), np.ones(1), duration=60.0)
+    assert 0.0 < auto._between(alone, Learnt())[1] < 1e-12
