@@ -119,7 +119,7 @@ def test_a_step_that_was_many_times_as_dear_is_learnt_at_once():
 def test_a_method_that_jams_is_not_taken_again():
     """Where another was expected to cost little more; the run learns it from the count."""
     position, radius, young = cluster(100, 2, spacing=0.9)
-    system = mechanics(radius, young, duration=2e6)
+    system = mechanics(radius, young, duration=6e5, viscosity=0.05)
     method = Auto(atol=0.1)
     choice = method.by_motion(system, position)
     seen = auto._seen(system, Learnt(), 0.1)
