@@ -17,12 +17,14 @@ enough for the choice. In small tissue a look costs as much as many evaluations,
 What coupling steps count corrects the model, and now and then the second choice is tried, as its
 extra cost is a fiftieth of what was spent since.
 
-A method that cannot continue, or finds a mild step to be none, leaves the coupling step to the next
-one, from its beginning. Only methods that can hold the scene, by their own ``info``, are chosen
-from. The choice depends on the state at the beginning of the coupling step, on the options and on
-what the run has learnt, which is counted and stored in its frames: a run that is resumed chooses as
-the uninterrupted one. A step that is repeated, as from a shifted start, is left to the method that
-took it.
+What leaves no doubt is given to the same explicit method for some coupling steps, and in small
+tissue what was looked at, as long as none takes more than it could by what is known. A method that
+cannot continue, or finds a mild step to be none, leaves the coupling step to the next one, from its
+beginning. Only methods that can hold the scene, by their own ``info``, are chosen from. The choice
+depends on the state at the beginning of the coupling step, on the options and on what the run has
+learnt, which is counted and stored in its frames: a run that is resumed chooses as the
+uninterrupted one. A step that is repeated, as from a shifted start, is left to the method that took
+it.
 """
 
 from __future__ import annotations
@@ -56,6 +58,10 @@ _PASSES, _CALLS = 8.0, 3.0e3
 """Evaluations, and evaluations times cells by calls of Python, above which it pays to measure λ: a
 third of what it costs in small tissue, as it is used again in later coupling steps."""
 _LOOK = 4.0e3  # evaluations times cells above which it pays to judge a step by its motion
+_HELD, _SMALL, _DEARER = 7.0, 600.0, 1.5
+"""Coupling steps after one without any doubt that are given to its method; number of cells up to
+which one is after Adams-Bashforth was chosen by a look, and with fewer cells more; and passes over
+the expected ones at which that ends."""
 _LEAST, _MOST = 0.3, 3.0
 """λ over its order of magnitude: of tissue in which it was not measured."""
 _NEAR, _OLD = 1.4, 8.0
@@ -86,7 +92,8 @@ class Choice:
     - ``step``: what its cost follows from; None where nothing was measured
     - ``ratio``, float: λ over its order of magnitude as measured here; 0 where it was not
     - ``trial``, bool: whether it is the second choice, to learn its cost
-    - ``limit``, float: passes above which the motion must have changed since it was seen
+    - ``hold``, float: how many coupling steps after this one are given to the same method
+    - ``limit``, float: passes of one above which no more are
     """
 
     stiffness: float
@@ -95,6 +102,7 @@ class Choice:
     step: CouplingStep | None = None
     ratio: float = 0.0
     trial: bool = False
+    hold: float = 0.0
     limit: float = math.inf
 
     @property
@@ -129,9 +137,12 @@ class Auto(ErrorControl):
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
         known, motion, work = Learnt(*system.learnt), system.motion, system.work
         again = known.of(motion.begin, motion.end, self.atol)
-        if again:
+        held = not again and known.holds(motion.begin, motion.end, self.atol)
+        if again or held:
             name = tuple(CANDIDATES)[int(known.taken)]
-            choice = Choice(math.nan, _first(name, candidates(system)), known.finer)
+            choice = Choice(
+                math.nan, _first(name, candidates(system)), known.finer, limit=known.limit
+            )
         else:
             choice = self.choose(system, position)
         patience = 0 if again else self._patience(choice, len(system))
@@ -152,10 +163,11 @@ class Auto(ErrorControl):
                 break
         if not again:
             step, speed = choice.step, known.speed
+            hold = known.hold - 1.0 if held else choice.hold
             if step is not None:
                 speed = step.motion / (motion.end - motion.begin)
             elif work.effort - total > choice.limit:
-                speed = 0.0
+                speed, hold = 0.0 if step is None else speed, 0.0
             system.learnt = known._replace(
                 ratio=choice.ratio or known.ratio,
                 age=0.0 if choice.ratio else known.age + 1.0,
@@ -168,6 +180,8 @@ class Auto(ErrorControl):
                 atol=self.atol,
                 taken=float(_NUMBER[name]),
                 finer=choice.finer,
+                hold=hold,
+                limit=choice.limit,
             )
         return outcome
 
@@ -184,7 +198,7 @@ class Auto(ErrorControl):
             about = glance.low, glance.high, 0.0, usual, most  # tissue may be at rest in any step
             name, limit = _sure(glance.seen, *map(_rounded, about))
             if name and not CANDIDATES[name].info.implicit:
-                return Choice(z, _first(name, glance.seen.able), limit=limit)
+                return Choice(z, _first(name, glance.seen.able), limit=limit, hold=_HELD)
         return self._by_motion(system, position, glance)
 
     def by_motion(self, system: Mechanics, position: FloatArray) -> Choice:
@@ -221,7 +235,11 @@ class Auto(ErrorControl):
             if others and known.steps >= _RARELY:
                 trial = found[others[0]] - found[name] <= _TRIALS * known.saved
                 name = others[0] if trial else name
-        return Choice(z, _first(name, seen.able), finer, step, ratio, trial)
+        hold, limit = 0.0, math.inf
+        if name == MILD and not trial:
+            hold = min(_HELD, _SMALL // max(len(system), 1))
+            limit = _DEARER * step.work(name) * math.exp(max(known.excess[_NUMBER[name]], 0.0))
+        return Choice(z, _first(name, seen.able), finer, step, ratio, trial, hold, limit)
 
     def method(self, name: str, finer: float = 1.0, patience: int = PATIENCE) -> Integrator:
         """Return a candidate with these options; an implicit one with finer tolerances."""

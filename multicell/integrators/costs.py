@@ -102,6 +102,8 @@ class Learnt(NamedTuple):
     - ``steps``: how many these were
     - ``begin``, ``end``, s, ``atol``, µm, ``taken``, ``finer``: the last coupling step, the
       number of the method that it was given to, and its part of the tolerance
+    - ``hold``: how many of the next ones are left to that method
+    - ``limit``: passes above which they are not
     - ``first`` to ``fifth``: log(counted / expected) of each method
     """
 
@@ -116,6 +118,8 @@ class Learnt(NamedTuple):
     atol: float = 0.0
     taken: float = 0.0
     finer: float = 1.0
+    hold: float = 0.0
+    limit: float = 0.0
     first: float = 0.0
     second: float = 0.0
     third: float = 0.0
@@ -125,6 +129,12 @@ class Learnt(NamedTuple):
     def of(self, begin: float, end: float, atol: float) -> bool:
         """Return whether the last coupling step was this one."""
         return self.begin == begin and self.end == end and self.atol == atol
+
+    def holds(self, begin: float, end: float, atol: float) -> bool:
+        """Return whether a coupling step is left to the method of the last one, if it is alike."""
+        length = self.end - self.begin
+        same = abs(end - begin - length) <= 1e-6 * length
+        return self.hold > 0.0 and same and self.atol == atol
 
     @property
     def excess(self) -> tuple[float, ...]:

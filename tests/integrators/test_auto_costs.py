@@ -313,3 +313,36 @@ def test_a_measured_rate_of_compressed_tissue_counts_for_some_steps():
     assert auto._between(system, Learnt(ratio=9.0, age=auto._OLD)) == (0.0, 0.0)
     alone = mechanics(np.array([5.0]), np.ones(1), duration=60.0)
     assert 0.0 < auto._between(alone, Learnt())[1] < 1e-12
+
+
+def test_what_is_sure_at_a_glance_is_held_for_some_steps(monkeypatch):
+    """Of the same length and tolerance, as long as none is dearer than it could be."""
+    position, radius, young = cluster(100, 2, spacing=0.9)
+    glances, chosen = [], Auto.choose
+    monkeypatch.setattr(Auto, "choose", lambda *args: glances.append(1) or chosen(*args))
+
+    def passed(steps, begin=0.0, length=60.0, atol=0.1, learnt=()):
+        system.learnt, at = learnt, position
+        del glances[:]
+        for k in range(steps):
+            start = begin + length * k
+            system.begin(replace(system.motion, begin=start, end=start + length))
+            at = Auto(atol=atol).integrate(system, at).position
+        return Learnt(*system.learnt)
+
+    system = mechanics(radius, young, duration=60.0)
+    known = passed(8)
+    assert len(glances) == 1
+    assert known.hold == 0.0
+    assert CANDIDATES["ab2-adaptive"] is list(CANDIDATES.values())[int(known.taken)]
+    known = passed(9)
+    assert len(glances) == 2
+    assert known.hold == auto._HELD
+    for change in ({"length": 30.0}, {"atol": 0.3}):
+        passed(1, begin=540.0, learnt=tuple(known), **change)
+        assert len(glances) == 1
+    passed(1, begin=540.0, learnt=tuple(known))
+    assert not glances
+    dear = passed(1, begin=540.0, learnt=tuple(known._replace(limit=1.0)))
+    assert not glances
+    assert dear.hold == dear.speed == 0.0
