@@ -181,7 +181,7 @@ class Auto(ErrorControl):
                 taken=float(_NUMBER[name]),
                 finer=choice.finer,
                 hold=hold,
-                limit=choice.limit,
+                limit=choice.limit if hold else 0.0,
             )
         return outcome
 
