@@ -21,8 +21,8 @@ What leaves no doubt is given to the same explicit method for some coupling step
 tissue what was looked at, as long as none takes more than it could by what is known. A method that
 cannot continue, or finds a mild step to be none, leaves the coupling step to the next one, from its
 beginning. Only methods that can hold the scene, by their own ``info``, are chosen from. The choice
-depends on the state at the beginning of the coupling step, on the options and on what the run has
-learnt, which is counted and stored in its frames: a run that is resumed chooses as the
+depends on the state at the beginning of the coupling step, on the options and on the lessons of
+the run, which are counted and stored in its frames: a run that is resumed chooses as the
 uninterrupted one. A step that is repeated, as from a shifted start, is left to the method that took
 it.
 """
@@ -56,7 +56,7 @@ PATIENCE, _LONGER = 300, 3.0
 expects, before the step is left to another method."""
 _PASSES, _CALLS = 8.0, 3.0e3
 """Evaluations, and evaluations times cells by calls of Python, above which it pays to measure λ: a
-third of what it costs in small tissue, as it is used again in later coupling steps."""
+third of its cost in small tissue, as it is used again in later coupling steps."""
 _LOOK = 4.0e3  # evaluations times cells above which it pays to judge a step by its motion
 _HELD, _SMALL, _DEARER = 7.0, 600.0, 1.5
 """Coupling steps after one without any doubt that are given to its method; number of cells up to
@@ -89,7 +89,7 @@ class Choice:
     - ``stiffness``, float: λ times the length of the coupling step
     - ``order``, tuple of str: the methods that can hold the scene, in the order they are tried in
     - ``finer``, float: part of the tolerances that an implicit method is given
-    - ``step``: what its cost follows from; None where nothing was measured
+    - ``step``: the properties that its cost follows from; None where nothing was measured
     - ``ratio``, float: λ over its order of magnitude as measured here; 0 where it was not
     - ``trial``, bool: whether it is the second choice, to learn its cost
     - ``hold``, float: how many coupling steps after this one are given to the same method
