@@ -14,8 +14,10 @@ import multicell as mc
 
 COARSE = 3
 AIR, LOW = "21 %", "2 %"
-SWITCH = 2.0
-"""Day of the change from air to 2 % oxygen."""
+SWITCH, LAST = 2.0, 8.0
+"""Day of the change from air to 2 % oxygen, and that on which runs end."""
+BEGIN = "day on which cells have become a spheroid"
+SHARE = "cells of it in 2 %, of those in air"
 
 
 @mc.network(
@@ -50,12 +52,16 @@ class Mechanism:
     - ``changes``: of the scene
     - ``free``: ranges of keys besides those of all variants
     - ``without``: keys of all variants that are not fitted
+    - ``own``: ranges of what is fitted and is no key of a scene: `BEGIN` and `SHARE`
+    - ``begin``: places in the ranges where a search begins; none: at the best of the fits before
     """
 
     says: str
     changes: dict[str, Any] = field(default_factory=dict)
     free: dict[str, str] = field(default_factory=dict)
     without: tuple[str, ...] = ()
+    own: dict[str, tuple[float, float]] = field(default_factory=dict)
+    begin: dict[str, float] = field(default_factory=dict)
 
 
 SHARED = {
@@ -78,6 +84,11 @@ _NETWORK = {
     "networks.hypoxia.dilution": False,
     "networks.hypoxia.parameters": {"level": 0.014, "delay": 86400.0},
 }
+_FAR_ABOVE = _SLOWER | {
+    "nutrients.oxygen.uptake_per_volume": "log 0.005:2 mM/s",
+    "nutrients.oxygen.half_saturation": "log 0.001:1 mM",
+}
+_FORMED = {BEGIN: (0.0, 1.95), SHARE: (0.4, 1.0)}
 _NO_LAYER = ("nutrients.oxygen.layer",)
 
 MECHANISMS = {
@@ -91,6 +102,44 @@ MECHANISMS = {
     "less": Mechanism(
         "besides, uptake falls as oxygen does (its half saturation is fitted)",
         free=_SLOWER | _LESS,
+    ),
+    "formed": Mechanism(
+        "uptake falls far above hypoxia, and the run begins when spheroids have formed",
+        free=_FAR_ABOVE | {"death.damage_time": "log 1:6 d"},
+        own=_FORMED,
+        begin={
+            "initial.count": 0.91,
+            "growth.phases.G1.duration": 0.58,
+            "nutrients.oxygen.uptake_per_volume": 0.77,
+            "nutrients.oxygen.layer": 0.21,
+            "nutrients.oxygen.quiescence": 0.52,
+            "nutrients.oxygen.relative.necrosis.factor": 0.74,
+            "death.damage_time": 0.55,
+            "death.lysis_time": 0.41,
+            "nutrients.oxygen.growth_half_saturation": 0.13,
+            "nutrients.oxygen.half_saturation": 0.67,
+            BEGIN: 0.69,
+            SHARE: 0.31,
+        },
+    ),
+    "quick": Mechanism(
+        "the same, and cells without oxygen die within a day",
+        free=_FAR_ABOVE | {"death.damage_time": "log 0.1:1 d"},
+        own=_FORMED,
+        begin={
+            "initial.count": 0.82,
+            "growth.phases.G1.duration": 0.58,
+            "nutrients.oxygen.uptake_per_volume": 0.72,
+            "nutrients.oxygen.layer": 0.02,
+            "nutrients.oxygen.quiescence": 0.37,
+            "nutrients.oxygen.relative.necrosis.factor": 0.43,
+            "death.damage_time": 0.97,
+            "death.lysis_time": 0.52,
+            "nutrients.oxygen.growth_half_saturation": 0.17,
+            "nutrients.oxygen.half_saturation": 0.54,
+            BEGIN: 0.67,
+            SHARE: 0.54,
+        },
     ),
     "repair": Mechanism(
         "besides, damage heals",
@@ -170,11 +219,28 @@ def free(name: str) -> dict[str, str]:
     return shared | found.free
 
 
-def in_regime(scene: mc.Scene, regime: str) -> mc.Scene:
-    """Return the scene in ``"air"``, ``"hypoxia"`` or ``"switched"``."""
+def own_of(name: str) -> dict[str, tuple[float, float]]:
+    """Return the ranges of what is fitted with a mechanism and is no key of a scene."""
+    return MECHANISMS[name].own
+
+
+def in_regime(scene: mc.Scene, regime: str, settings: dict[str, Any]) -> mc.Scene:
+    """Return a variant with its parameters in ``"air"``, ``"hypoxia"`` or ``"switched"``.
+
+    Cells come from air: where the run begins with a formed spheroid, those in 2 % begin with the
+    states of cells in air.
+    """
+    keys = {key: value for key, value in settings.items() if key not in (BEGIN, SHARE)}
+    begin, share = settings.get(BEGIN), settings.get(SHARE, 1.0)
+    scene = scene.with_changes(keys)
+    if begin is not None:
+        scene = scene.with_changes({"duration": f"{LAST - begin} d"})
+    if regime == "air":
+        return scene
+    after = SWITCH - (begin or 0.0)
     if regime == "hypoxia":
-        return scene.with_changes({"nutrients.oxygen.boundary": LOW})
-    if regime == "switched":
-        media = [["0 d", AIR], [f"{SWITCH:g} d", LOW]]
-        return scene.with_changes({"nutrients.oxygen.media": media})
-    return scene
+        if begin is None:
+            return scene.with_changes({"nutrients.oxygen.boundary": LOW})
+        count = round(scene.initial.count * share)
+        scene, after = scene.with_changes({"initial.count": count}), 60 / 86400
+    return scene.with_changes({"nutrients.oxygen.media": [["0 d", AIR], [f"{after} d", LOW]]})

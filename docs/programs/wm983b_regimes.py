@@ -16,6 +16,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ import wm983b_mechanisms as mechanisms
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.stats import chi2
-from wm983b_mechanisms import MECHANISMS
+from wm983b_mechanisms import BEGIN, MECHANISMS
 
 import multicell as mc
 from multicell.calibration.fitting.problem import free_of
@@ -45,9 +46,26 @@ LEAST = 8.0
 DAYS = np.array([2.0, 3.0, 4.0, 6.0, 8.0])
 FIRST, FURTHER = 240, 75
 """Sets of parameters that are tried for the first mechanism, and from its best for each other."""
-DRAWS, SEEDS = 10, (1, 2, 3, 4)
+DRAWS, SEEDS, SEARCHED = 10, (1, 2, 3, 4), (1, 2)
 BLIND = ("less", "relative")
 """Mechanisms fitted before the data of the switch were read, one of which predicts it."""
+
+
+@dataclass(frozen=True)
+class Own:
+    """A parameter that is no key of a scene, between two numbers."""
+
+    key: str
+    low: float
+    high: float
+
+    def value(self, share: float) -> float:
+        """Return the value at a share of the range."""
+        return self.low + share * (self.high - self.low)
+
+    def setting(self, value: float) -> float:
+        """Return the value as it is kept."""
+        return round(value, 4)
 
 
 def main() -> None:
@@ -91,9 +109,12 @@ def fit(name: str) -> dict[str, Any]:
     def misfit(shares: Array) -> float:
         return chi_squared(scene, settings(shares))
 
-    first = start_of(ranges, kept)
+    first, begin_at = start_of(ranges, kept), MECHANISMS[name].begin
     known = bool(kept)
-    tried = search(misfit, first, 0.12 if known else 0.25, FURTHER if known else FIRST)
+    width = 0.12 if known else 0.25
+    if begin_at:
+        first, width = np.array([begin_at[f.key] for f in ranges]), 0.04
+    tried = search(misfit, first, width, FURTHER if known else FIRST)
     tried.sort(key=lambda pair: pair[0])
     least, best = tried[0][0], settings(tried[0][1])
     # those that the data do not tell from the best, by the misfit that even the best has
@@ -129,7 +150,8 @@ def fit(name: str) -> dict[str, Any]:
 def ranges_of(name: str) -> Sequence[Any]:
     """Return the free parameters of a mechanism as a fit reads them."""
     table = read_measurements({"time / d": [1.0], "radius / um": [200.0]}, None, None)
-    return free_of(mechanisms.free(name), read_data(table, mechanisms.variant(name)))[0]
+    keys = free_of(mechanisms.free(name), read_data(table, mechanisms.variant(name)))[0]
+    return [*keys, *(Own(key, *ends) for key, ends in mechanisms.own_of(name).items())]
 
 
 def start_of(ranges: Sequence[Any], kept: dict[str, Any]) -> Array:
@@ -166,37 +188,17 @@ def search(
     misfit: Callable[[Array], float], first: Array, width: float, most: int
 ) -> list[tuple[float, Array]]:
     """Return all points that were tried with their misfits, in the unit cube: CMA-ES."""
-    n, random = len(first), np.random.default_rng(1)
-    count = 4 + int(3 * math.log(n))
-    weights = np.log(count / 2 + 0.5) - np.log(np.arange(1, count // 2 + 1))
-    weights /= weights.sum()
-    mass = 1.0 / float(np.sum(weights**2))
-    c_step, c_path = (mass + 2) / (n + mass + 5), (4 + mass / n) / (n + 4 + 2 * mass / n)
-    c_one = 2 / ((n + 1.3) ** 2 + mass)
-    c_many = min(1 - c_one, 2 * (mass - 2 + 1 / mass) / ((n + 2) ** 2 + mass))
-    damping = 1 + 2 * max(0.0, math.sqrt((mass - 1) / (n + 1)) - 1) + c_step
-    usual = math.sqrt(n) * (1 - 1 / (4 * n) + 1 / (21 * n * n))
-    mean, covariance, step, path = first.copy(), np.eye(n), np.zeros(n), np.zeros(n)
+    import cma  # nothing else here needs it
+
+    ends = {"bounds": [0, 1], "maxfevals": most, "seed": 1, "verbose": -9}
+    strategy = cma.CMAEvolutionStrategy(first, width, ends)
     tried: list[tuple[float, Array]] = [(misfit(first), first)]
-    while len(tried) < most:
-        values, vectors = np.linalg.eigh(covariance)
-        root = vectors * np.sqrt(np.maximum(values, 1e-12))
-        points = [
-            np.clip(mean + width * root @ random.standard_normal(n), 0, 1) for _ in range(count)
-        ]
-        found = sorted(((misfit(x), x) for x in points), key=lambda pair: pair[0])
-        tried += found
-        print(len(tried), round(min(t[0] for t in tried), 1), round(width, 3), flush=True)
-        chosen = np.array([x for _, x in found[: count // 2]])
-        moves = (chosen - mean) / width
-        move = weights @ moves
-        mean = mean + width * move
-        white = vectors @ ((vectors.T @ move) / np.sqrt(np.maximum(values, 1e-12)))
-        step = (1 - c_step) * step + math.sqrt(c_step * (2 - c_step) * mass) * white
-        path = (1 - c_path) * path + math.sqrt(c_path * (2 - c_path) * mass) * move
-        covariance = (1 - c_one - c_many) * covariance + c_one * np.outer(path, path)
-        covariance += c_many * np.einsum("k,ki,kj->ij", weights, moves, moves)
-        width *= math.exp(c_step / damping * (float(np.linalg.norm(step)) / usual - 1))
+    while not strategy.stop():
+        points = strategy.ask()
+        found = [misfit(point) for point in points]
+        strategy.tell(points, found)
+        tried += zip(found, points, strict=True)
+        print(len(tried), round(min(value for value, _ in tried), 1), flush=True)
     return tried
 
 
@@ -209,35 +211,42 @@ def spread_out(region: list[tuple[float, Array]], count: int) -> list[tuple[floa
     return chosen
 
 
-def chi_squared(scene: mc.Scene, settings: dict[str, str]) -> float:
-    """Return the sum of squared deviations from both regimes; infinite where a run fails."""
+def chi_squared(scene: mc.Scene, settings: dict[str, Any]) -> float:
+    """Return the sum of squared deviations from both regimes; infinite where a run fails.
+
+    Means of two runs are compared: whether a core begins before or after a day, one decides by
+    chance.
+    """
     total = 0.0
     for regime in REGIMES:
         days, mean, sd = measured(regime)
+        one, begin = mechanisms.in_regime(scene, regime, settings), settings.get(BEGIN, 0.0)
         try:
-            found = radii(mechanisms.in_regime(scene.with_changes(settings), regime), days)
+            runs = [radii(one.with_changes({"seed": seed}), days, begin) for seed in SEARCHED]
         except MulticellError:
             return math.inf
-        total += float((((found[:, :3] - mean) / sd) ** 2).sum())
+        total += float((((np.mean(runs, axis=0)[:, :3] - mean) / sd) ** 2).sum())
     return total
 
 
-def radii(scene: mc.Scene, days: Array) -> Array:
-    """Return outer, inhibited, necrotic and hypoxic radius of a run on given days, um."""
+def radii(scene: mc.Scene, days: Array, begin: float = 0.0) -> Array:
+    """Return outer, inhibited, necrotic and hypoxic radius on given days of a run, um.
+
+    The run begins on the day ``begin``.
+    """
     history = mc.run(scene).history
     names = (*RADII, "hypoxic_radius_oxygen")
-    return np.stack(
-        [np.interp(days * 86400, history["time"], history[name]) for name in names], axis=1
-    )
+    times = (days - begin) * 86400
+    return np.stack([np.interp(times, history["time"], history[name]) for name in names], axis=1)
 
 
-def course(name: str, settings: dict[str, str], regime: str, seed: int) -> list[list[float]]:
+def course(name: str, settings: dict[str, Any], regime: str, seed: int) -> list[list[float]]:
     """Return the radii of a regime on all days, um, (days, 4)."""
-    scene = mechanisms.variant(name).with_changes({**settings, "seed": seed})
-    return np.round(radii(mechanisms.in_regime(scene, regime), DAYS), 1).tolist()
+    scene = mechanisms.in_regime(mechanisms.variant(name), regime, {**settings, "seed": seed})
+    return np.round(radii(scene, DAYS, settings.get(BEGIN, 0.0)), 1).tolist()
 
 
-def best_course(name: str, settings: dict[str, str], regime: str) -> list[list[float]]:
+def best_course(name: str, settings: dict[str, Any], regime: str) -> list[list[float]]:
     """Return the same at the best point, the mean over seeds."""
     runs = [course(name, settings, regime, seed) for seed in SEEDS]
     return np.round(np.mean(runs, axis=0), 1).tolist()
