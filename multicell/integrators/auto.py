@@ -162,10 +162,10 @@ class Auto(ErrorControl):
             if outcome.done:
                 break
         if not again:
-            step, speed = choice.step, known.speed
+            step, speed, length = choice.step, known.speed, motion.end - motion.begin
             hold = known.hold - 1.0 if held else choice.hold
             if step is not None:
-                speed = step.motion / (motion.end - motion.begin)
+                speed = step.motion / length if length > 0.0 else 0.0
             elif work.effort - total > choice.limit:
                 speed, hold = 0.0 if step is None else speed, 0.0
             system.learnt = known._replace(

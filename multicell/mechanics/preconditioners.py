@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 from numba import njit, prange
 
-from multicell.compiling import INNER
+from multicell.compiling import INNER, arithmetic
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.blocks import (
     NEARLY_SINGULAR,
@@ -116,7 +116,7 @@ def _collect_chunk(
         begin[i, 1] = at + 1
 
 
-@njit(**INNER)
+@arithmetic
 def _invert(blocks, i):
     """Replace a symmetric 3 x 3 block by its inverse."""
     a, b, c = blocks[i, XX], blocks[i, YY], blocks[i, ZZ]
