@@ -270,7 +270,7 @@ class _Clock:
         from multicell.compiling import COMPILATION
 
         took, part = dict(COMPILATION.parts), COMPILATION.part
-        if not part and self._simulation is None:  # between two functions of a part
+        if not part and self._missing and self._simulation is None:  # between two functions
             part = next(reversed(took), "")
         if not part:
             return []

@@ -204,6 +204,13 @@ def test_between_two_functions_a_part_stays_named_with_the_last_ticks_first(now)
     assert clock.words()[0] == "1.00 of 12 d"
 
 
+def test_a_later_run_of_a_process_that_has_compiled_is_loading(now):
+    COMPILATION.parts = {"fields": 2.0}
+    clock = _Clock(SPHEROID)
+    clock.foresee({})
+    assert clock.words() == ["loading"]
+
+
 def test_the_first_words_break_between_words(capsys, monkeypatch):
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "40")
