@@ -34,7 +34,7 @@ class ExitCode(IntEnum):
     FAILED = (
         1,
         (
-            "what was computed failed for what it is: a step that cannot be solved, "
+            "the computation failed: a step that cannot be solved, "
             "a run of a study, a fit without a result, code of your own"
         ),
     )

@@ -54,7 +54,6 @@ _OF_PARTS: Final = (
     "exposures",
     "first_states",
     "inside",
-    "learnt",
     "replays",
     "stability",
 )

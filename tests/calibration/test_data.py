@@ -109,7 +109,7 @@ REFUSED = {
     "time / h, necrotic\n5, 0\n": "line 2, 'necrotic': is 0, of which a relative standard deviation says nothing. Add a column 'necrotic sd' with its unit.",
     "time / h, cells, cells n\n5, 7, 1.5\n": "line 2, 'cells n': is 1.5, must be a whole number of at least 1",
     "time / h, cells, cells sem, cells n\n5, 7, 1, 3\n": "line 2, 'cells': has both 'cells sem' and 'cells sd' or 'cells n'. The error of the mean stands in place of both.",
-    "time / h, cells\n-1, 7\n": "line 2: was measured at -3600 s, before the run begins at 0 s",
+    "time / h, cells\n-1, 7\n": "line 2: was measured 1 h before the run begins",
     "time / h, cells\n0, 7\n": "line 2: is of the run's very start",
     "time / h, cells, nutrients.oxygen.boundary\n5, 7, 0.2\n": "growth.csv, 'nutrients.oxygen.boundary': has no unit. Write 'nutrients.oxygen.boundary / mM'.",
     "time / h, cells, nutrients.oxygen.boundary / mM\n5, 7,\n": "is empty: each row states all conditions",

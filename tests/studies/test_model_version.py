@@ -36,7 +36,7 @@ SCENES = {
     },
 }
 NUMBERS = {
-    11: {
+    10: {
         "growth": {"cells": 4, "volume": 1413.2421188721537, "distance": 8.122308148674017},
         "spheroid": {
             "cells": 70,
@@ -47,8 +47,8 @@ NUMBERS = {
         "sorting-signal": {
             "cells": 40,
             "volume": 16491.355589038554,
-            "distance": 90.6964919026131,
-            "factor": 2.3737000593342047e-07,
+            "distance": 90.71787367741756,
+            "factor": 2.3729671570960308e-07,
         },
         "doublet": {
             "cells": 2,
@@ -58,6 +58,15 @@ NUMBERS = {
         },
     }
 }
+AVX512 = {
+    10: {
+        "sorting-signal": {
+            "distance": 90.71787307514776,
+            "factor": 2.3729671013106746e-07,
+        }
+    }
+}
+"""Where the last digits of NumPy's functions, which differ on such processors, decide of a step."""
 
 
 def numbers(name):
@@ -76,5 +85,6 @@ def numbers(name):
 @pytest.mark.parametrize("name", SCENES)
 def test_numbers_belong_to_the_version_of_the_model(name):
     found = numbers(name)
-    # the last digits of NumPy's functions differ between processors, and may decide of a step
-    assert found == pytest.approx(NUMBERS[MODEL_VERSION][name], rel=1e-7), CHANGED
+    known = NUMBERS[MODEL_VERSION][name]
+    there = known | AVX512[MODEL_VERSION].get(name, {})
+    assert any(found == pytest.approx(x, rel=1e-9) for x in (known, there)), CHANGED
