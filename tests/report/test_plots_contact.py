@@ -108,8 +108,9 @@ def test_profile_shows_the_part_of_each_type():
     assert "Cells by type" in texts(figure)
     inner, outer = (drawing.type_colours(["inner", "outer"])[name] for name in ("inner", "outer"))
     heights = {}
-    for bar in lower.patches:
-        heights.setdefault(mpl.colors.to_hex(bar.get_facecolor()), []).append(bar.get_height())
+    for part in lower.patches:
+        tops, _, bottoms = part.get_data()
+        heights[mpl.colors.to_hex(part.get_facecolor())] = tops - bottoms
     assert heights[inner][0] == 100.0
     assert heights[inner][-1] == 0.0
     assert heights[outer][-1] == 100.0

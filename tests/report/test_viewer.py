@@ -226,9 +226,13 @@ def colours(page):
     from PIL import Image
 
     # what moved is drawn sharply a moment later, and then takes its time to the screen
-    page.wait_for_timeout(500)
-    page.evaluate("new Promise(r => requestAnimationFrame(() => requestAnimationFrame(r)))")
-    picture = page.locator('[data-part="canvas"]').screenshot()
+    before, picture, tries = b"", b"none", 0
+    while picture != before:
+        tries += 1
+        assert tries < 30, "the picture does not come to rest"
+        page.wait_for_timeout(500)
+        page.evaluate("new Promise(r => requestAnimationFrame(() => requestAnimationFrame(r)))")
+        before, picture = picture, page.locator('[data-part="canvas"]').screenshot()
     return np.asarray(Image.open(io.BytesIO(picture)).convert("RGB")).astype(int)
 
 
