@@ -219,11 +219,6 @@ def free(name: str) -> dict[str, str]:
     return shared | found.free
 
 
-def own_of(name: str) -> dict[str, tuple[float, float]]:
-    """Return the ranges of what is fitted with a mechanism and is no key of a scene."""
-    return MECHANISMS[name].own
-
-
 def in_regime(scene: mc.Scene, regime: str, settings: dict[str, Any]) -> mc.Scene:
     """Return a variant with its parameters in ``"air"``, ``"hypoxia"`` or ``"switched"``.
 

@@ -151,7 +151,7 @@ def ranges_of(name: str) -> Sequence[Any]:
     """Return the free parameters of a mechanism as a fit reads them."""
     table = read_measurements({"time / d": [1.0], "radius / um": [200.0]}, None, None)
     keys = free_of(mechanisms.free(name), read_data(table, mechanisms.variant(name)))[0]
-    return [*keys, *(Own(key, *ends) for key, ends in mechanisms.own_of(name).items())]
+    return [*keys, *(Own(key, *ends) for key, ends in MECHANISMS[name].own.items())]
 
 
 def start_of(ranges: Sequence[Any], kept: dict[str, Any]) -> Array:
