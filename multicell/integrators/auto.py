@@ -6,9 +6,11 @@ number of cells (:mod:`multicell.integrators.costs`); the cheapest of these meth
 - ``ab2-adaptive``, one evaluation for each of its own steps, up to its limit of stability;
 - ``rk4-adaptive``, where order pays: at tolerances that are small beside the motion;
 - ``rkc2``, whose stages grow as √(λΔt);
-- ``rosenbrock`` or ``cvode``, where λΔt is large beside what moves. They get a tenth of the
-  tolerances where fast modes move cells, at which they are about as exact as RKC2, and the whole
-  in quiet tissue.
+- ``rosenbrock`` or ``cvode``, where λΔt is large beside what moves.
+
+Costs are compared at about the same accuracy (:meth:`Choice.part`): implicit methods get a tenth of
+the tolerances where fast modes move cells, the whole in quiet tissue, and CVODE less the larger λΔt
+is, as its errors over its tolerance grow.
 
 Where the order of magnitude of λ, which is known without any evaluation, leaves no doubt with the
 motion that was seen last, or with any, nothing is measured. Otherwise one evaluation gives the
@@ -30,7 +32,7 @@ it.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, make_dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, final
@@ -75,8 +77,11 @@ are no fast modes to follow, and from which on there are."""
 _AS_EXACT = 0.1
 """Tolerance at which implicit methods are about as exact as RKC2 where there are fast modes to
 follow, over that of RKC2."""
+_EXACT_TO, _STIFFEST = 1e3, 1e6
+"""λΔt up to which CVODE is as exact as Rosenbrock at the same tolerance, above which its errors
+grow as √(λΔt), and up to which that was measured: tiles of docs/which-integrator.md at 0.01 µm, ten
+times those of Rosenbrock at 10⁵ and more."""
 _PRESSED = 3.0  # products of Rosenbrock's solves over CVODE's where tissue resists compression
-_PARTED = 1.6  # work of CVODE over the model's where contacts remember, and part at once
 _TRIALS, _RARELY = 0.02, 8
 """Part of the cost that trials of the second choice may add, and coupling steps between two."""
 
@@ -88,7 +93,7 @@ class Choice:
 
     - ``stiffness``, float: λ times the length of the coupling step
     - ``order``, tuple of str: the methods that can hold the scene, in the order they are tried in
-    - ``finer``, float: part of the tolerances that an implicit method is given
+    - ``finer``, float: part of the tolerances that Rosenbrock's method is given
     - ``step``: the properties that its cost follows from; None where nothing was measured
     - ``ratio``, float: λ over its order of magnitude as measured here; 0 where it was not
     - ``trial``, bool: whether it is the second choice, to learn its cost
@@ -110,9 +115,9 @@ class Choice:
         """The one that should cost least."""
         return self.order[0]
 
-    def finer_for(self, name: str) -> float:
-        """Part of the tolerances that a method is given."""
-        return self.finer if CANDIDATES[name].info.implicit else 1.0
+    def part(self, name: str) -> float:
+        """Return the part of the tolerances at which a method is about as exact as the others."""
+        return _part(name, self.finer, self.stiffness)
 
 
 @final
@@ -140,9 +145,9 @@ class Auto(ErrorControl):
         held = not again and known.holds(motion.begin, motion.end, self.atol)
         if again or held:
             name = tuple(CANDIDATES)[int(known.taken)]
-            choice = Choice(
-                math.nan, _first(name, candidates(system)), known.finer, limit=known.limit
-            )
+            able = candidates(len(system), friction=max(system.friction) > 0.0)
+            order = _first(name, able)
+            choice = Choice(known.stiffness, order, known.finer, limit=known.limit)
         else:
             choice = self.choose(system, position)
         patience = 0 if again else self._patience(choice, len(system))
@@ -150,12 +155,12 @@ class Auto(ErrorControl):
         total = work.effort
         for name in choice.order:
             before, taken, rubbing = work.effort, work.steps, work.friction_iterations
-            outcome = self.method(name, choice.finer, patience).integrate(system, position)
+            outcome = self.method(name, choice.part(name), patience).integrate(system, position)
             _count(system, name, taken)
             if taught is not None:
                 passes = float(work.effort - before - (work.friction_iterations - rubbing))
-                expected = taught.work(name, choice.finer_for(name))
-                expected *= _dearer(name, system.compression is not None, system.law.remembers)
+                expected = taught.work(name, choice.part(name))
+                expected *= _dearer(name, system.compression is not None)
                 implicit = CANDIDATES[name].info.implicit
                 known = known.counted(_NUMBER[name], passes, expected, implicit=implicit)
                 spent += passes * taught.unit(name)
@@ -180,6 +185,7 @@ class Auto(ErrorControl):
                 atol=self.atol,
                 taken=float(_NUMBER[name]),
                 finer=choice.finer,
+                stiffness=choice.stiffness,
                 hold=hold,
                 limit=choice.limit if hold else 0.0,
             )
@@ -241,11 +247,10 @@ class Auto(ErrorControl):
             limit = _DEARER * step.work(name) * math.exp(max(known.excess[_NUMBER[name]], 0.0))
         return Choice(z, _first(name, seen.able), finer, step, ratio, trial, hold, limit)
 
-    def method(self, name: str, finer: float = 1.0, patience: int = PATIENCE) -> Integrator:
-        """Return a candidate with these options; an implicit one with finer tolerances."""
+    def method(self, name: str, part: float = 1.0, patience: int = PATIENCE) -> Integrator:
+        """Return a candidate with these options and a part of the tolerances."""
         kind = CANDIDATES[name]
-        finer = finer if kind.info.implicit else 1.0
-        options = finer * self.rtol, finer * self.atol, self.max_steps, self.max_displacement
+        options = part * self.rtol, part * self.atol, self.max_steps, self.max_displacement
         if kind is AdaptiveAdams:
             return AdaptiveAdams(*options, patience)
         return kind(*options)
@@ -276,12 +281,11 @@ _STABLE = (Rkc2.info.name, Rosenbrock.info.name, Cvode.info.name)
 """What is tried after another method, in this order."""
 
 
-def candidates(system: Mechanics) -> list[str]:
-    """Return the names of those methods that can hold a system, by their own ``info``."""
-    n, friction = len(system), max(system.friction) > 0.0
-    return [
-        name for name, kind in CANDIDATES.items() if kind.info.refusal(n, friction=friction) is None
-    ]
+@lru_cache(maxsize=4096)
+def candidates(cells: int, *, friction: bool) -> tuple[str, ...]:
+    """Return the names of those methods that can hold so many cells, by their own ``info``."""
+    every = CANDIDATES.items()
+    return tuple(name for name, kind in every if not kind.info.refusal(cells, friction=friction))
 
 
 @final
@@ -292,7 +296,6 @@ class _Seen(NamedTuple):
     - ``tolerance``, ``cells``: logarithms
     - ``python``: whether evaluations go through Python
     - ``pressed``: whether the tissue resists compression
-    - ``parts``: whether contacts remember, and part at once
     - ``excess``: four times log(counted / expected) of each method
     """
 
@@ -301,7 +304,6 @@ class _Seen(NamedTuple):
     cells: int
     python: bool
     pressed: bool
-    parts: bool
     excess: tuple[int, ...]
 
 
@@ -309,9 +311,9 @@ def _seen(system: Mechanics, known: Learnt, tolerance: float) -> _Seen:
     from multicell.integrators.driver import needs_python
 
     excess = tuple(round(4.0 * x) for x in known.excess)
-    able, n, pressed = tuple(candidates(system)), len(system), system.compression is not None
-    python, parts = needs_python(system), system.law.remembers
-    return _Seen(able, _rounded(tolerance), _rounded(n), python, pressed, parts, excess)
+    n, python, pressed = len(system), needs_python(system), system.compression is not None
+    able = candidates(n, friction=max(system.friction) > 0.0)
+    return _Seen(able, _rounded(tolerance), _rounded(n), python, pressed, excess)
 
 
 class _Glance(NamedTuple):
@@ -329,25 +331,32 @@ def _rounded(value: float) -> int:
 
 
 def _costs(
-    seen: _Seen, step: CouplingStep, finer: float, excess: Collection[float]
+    seen: _Seen, step: CouplingStep, finer: float, excess: Sequence[float]
 ) -> dict[str, float]:
     """Return the expected cost of each method, in evaluations of all cells."""
     costs = {}
-    for name, number in _NUMBER.items():
-        if name in seen.able:
-            kind = CANDIDATES[name]
-            work = step.work(name, finer if kind.info.implicit else 1.0)
-            work *= _dearer(name, seen.pressed, seen.parts)
-            costs[name] = work * step.unit(name) * math.exp(tuple(excess)[number])
+    for name in seen.able:
+        work = step.work(name, _part(name, finer, step.stiffness)) * _dearer(name, seen.pressed)
+        costs[name] = work * step.unit(name) * math.exp(excess[_NUMBER[name]])
     return costs
 
 
-def _dearer(name: str, pressed: bool, parts: bool) -> float:
+def _dearer(name: str, pressed: bool) -> float:
     """Return the work of a method over that of the model, where ``_Seen`` says why."""
-    kind = CANDIDATES[name]
-    return (_PRESSED if pressed and kind is Rosenbrock else 1.0) * (
-        _PARTED if parts and kind is Cvode else 1.0
-    )
+    return _PRESSED if pressed and CANDIDATES[name] is Rosenbrock else 1.0
+
+
+def _part(name: str, finer: float, stiffness: float) -> float:
+    """Return the part of the tolerances at which a method is about as exact as the others.
+
+    - ``finer``: that of Rosenbrock's method, by :func:`_finer`
+    - ``stiffness``: λΔt
+    """
+    if not CANDIDATES[name].info.implicit:
+        return 1.0
+    if CANDIDATES[name] is not Cvode:
+        return finer
+    return finer * math.sqrt(_EXACT_TO / min(max(stiffness, _EXACT_TO), _STIFFEST))
 
 
 @lru_cache(maxsize=4096)

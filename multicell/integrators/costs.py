@@ -100,8 +100,8 @@ class Learnt(NamedTuple):
     - ``seen``: coupling steps since then
     - ``saved``: cost of the coupling steps since the second choice was last tried, in evaluations
     - ``steps``: how many these were
-    - ``begin``, ``end``, s, ``atol``, µm, ``taken``, ``finer``: the last coupling step, the
-      number of the method that it was given to, and its part of the tolerance
+    - ``begin``, ``end``, s, ``atol``, µm, ``taken``, ``finer``, ``stiffness``: the last coupling
+      step, the number of the method that it was given to, the part of the tolerance, and λΔt
     - ``hold``: how many of the next ones are left to that method
     - ``limit``: passes above which they are not
     - ``first`` to ``fifth``: log(counted / expected) of each method
@@ -118,6 +118,7 @@ class Learnt(NamedTuple):
     atol: float = 0.0
     taken: float = 0.0
     finer: float = 1.0
+    stiffness: float = 0.0
     hold: float = 0.0
     limit: float = 0.0
     first: float = 0.0

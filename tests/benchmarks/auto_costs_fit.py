@@ -175,8 +175,8 @@ def _samples(rows: list[Row], units: dict[str, dict[str, float]]) -> list[Sample
             sample = Sample((row["scene"], row["step"], atol), {}, {}, {})
             rate = max(row["stiffness"], 1e-9)
             finer = auto._finer(row["fastest"], rate, atol)
-            for method, kind in KINDS.items():
-                wanted = atol * finer if kind == "implicit" else atol
+            for method in KINDS:
+                wanted = atol * auto._part(method, finer, rate)
                 # the ladder has two rungs a decade
                 s = known.get((method, 2 * round(2 * math.log10(wanted))), finest.get(method))
                 if (

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from strategies import cluster, mechanics
 
-from multicell import JKR
-from multicell.contact.exact_jkr import ExactJKR
 from multicell.integrators import auto, costs
 from multicell.integrators.auto import CANDIDATES, Auto, measured_rate
 from multicell.integrators.costs import CouplingStep, Learnt
@@ -130,18 +128,6 @@ def test_a_method_that_jams_is_not_taken_again():
     number, expected = NUMBER[choice.method], 100.0
     system.learnt = Learnt().counted(number, 7.5 * expected, expected, implicit=True)
     assert method.by_motion(system, position).method != choice.method
-
-
-def test_cvode_is_expected_to_be_dearer_where_contacts_part_at_once():
-    _, radius, young = cluster(30, 2, spacing=0.9)
-    step = MIDDLE._replace(cells=30)
-    found = []
-    for law in (JKR(surface_energy=0.1), ExactJKR(surface_energy=0.1)):
-        seen = auto._seen(mechanics(radius, young, law), Learnt(), 0.1)
-        found.append(auto._costs(seen._replace(python=False), step, 1.0, (0.0,) * 5))
-    for name in CANDIDATES:
-        factor = auto._PARTED if name == "cvode" else 1.0
-        assert found[1][name] == pytest.approx(factor * found[0][name])
 
 
 def test_motion_that_was_seen_spares_a_look(monkeypatch):
