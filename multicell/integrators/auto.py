@@ -77,10 +77,10 @@ are no fast modes to follow, and from which on there are."""
 _AS_EXACT = 0.1
 """Tolerance at which implicit methods are about as exact as RKC2 where there are fast modes to
 follow, over that of RKC2."""
-_EXACT_TO, _STIFFEST = 1e3, 1e6
-"""λΔt up to which CVODE is as exact as Rosenbrock at the same tolerance, above which its errors
-grow as √(λΔt), and up to which that was measured: tiles of docs/which-integrator.md at 0.01 µm, ten
-times those of Rosenbrock at 10⁵ and more."""
+_EXACT_TO, _STIFFEST = 1e4, 1e6
+"""λΔt up to which CVODE is as exact as Rosenbrock's method at the same tolerance, and as far as its
+errors were compared: they grow with λΔt, in the tiles of docs/which-integrator.md, so that it needs
+a tenth of the tolerance at 10⁵ and a hundredth at 10⁶."""
 _PRESSED = 3.0  # products of Rosenbrock's solves over CVODE's where tissue resists compression
 _TRIALS, _RARELY = 0.02, 8
 """Part of the cost that trials of the second choice may add, and coupling steps between two."""
@@ -356,7 +356,7 @@ def _part(name: str, finer: float, stiffness: float) -> float:
         return 1.0
     if CANDIDATES[name] is not Cvode:
         return finer
-    return finer * math.sqrt(_EXACT_TO / min(max(stiffness, _EXACT_TO), _STIFFEST))
+    return finer * _EXACT_TO / min(max(stiffness, _EXACT_TO), _STIFFEST)
 
 
 @lru_cache(maxsize=4096)
