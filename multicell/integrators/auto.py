@@ -116,7 +116,7 @@ class Choice:
         return self.order[0]
 
     def part(self, name: str) -> float:
-        """Return the part of the tolerances at which a method is about as exact as the others."""
+        """Return the part of the tolerances that a method is given."""
         return _part(name, self.finer, self.stiffness)
 
 
@@ -205,14 +205,7 @@ class Auto(ErrorControl):
             name, limit = _sure(glance.seen, *map(_rounded, about))
             if name and not CANDIDATES[name].info.implicit:
                 return Choice(z, _first(name, glance.seen.able), limit=limit, hold=_HELD)
-        return self._by_motion(system, position, glance)
-
-    def by_motion(self, system: Mechanics, position: FloatArray) -> Choice:
-        """Return the method that is cheapest for the motion at the beginning of the step.
-
-        λ is measured where what is known of it leaves a doubt.
-        """
-        return self._by_motion(system, position, self._glance(system))
+        return self.by_motion(system, position, glance)
 
     def _glance(self, system: Mechanics) -> _Glance:
         known, length = Learnt(*system.learnt), system.motion.end - system.motion.begin
@@ -220,10 +213,16 @@ class Auto(ErrorControl):
         seen = _seen(system, known, _tolerance(system, self.rtol, self.atol))
         return _Glance(known, seen, low * length, high * length)
 
-    def _by_motion(self, system: Mechanics, position: FloatArray, glance: _Glance) -> Choice:
+    def by_motion(
+        self, system: Mechanics, position: FloatArray, glance: _Glance | None = None
+    ) -> Choice:
+        """Return the method that is cheapest for the motion at the beginning of the step.
+
+        λ is measured where what is known of it leaves a doubt.
+        """
         from multicell.integrators.limits import stiffness_scale
 
-        known, seen, low, high = glance
+        known, seen, low, high = glance or self._glance(system)
         tolerance = _tolerance(system, self.rtol, self.atol)
         length = system.motion.end - system.motion.begin
         motion, furthest = (speed * length for speed in _speeds(system, position))

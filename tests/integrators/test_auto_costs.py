@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from strategies import cluster, mechanics
 
+import multicell as mc
 from multicell.integrators import auto, costs
 from multicell.integrators.auto import CANDIDATES, Auto, measured_rate
 from multicell.integrators.costs import CouplingStep, Learnt
@@ -209,21 +210,53 @@ def test_a_measured_rate_is_used_again_as_long_as_it_leaves_no_doubt(monkeypatch
     assert max(ages) <= 19.0
 
 
-def run_of(**changes):
-    return Simulation(
-        Scene.from_dict(
-            {
-                "duration": "4 h",
-                "coupling_step": "10 min",
-                "initial": {"count": 40, "stage": "uniform"},
-                "contact": {"law": "jkr", "surface_energy": 0.1},
-                "drag": {"viscosity": 0.3},
-                "growth": {"cycle_time": "15 h"},
-                **changes,
-            }
-        ),
-        threads=1,
+def test_a_step_without_length_teaches_no_speed(monkeypatch):
+    """As where two events fall into one moment; its motion is looked at all the same."""
+    position, radius, young = cluster(20, 2, spacing=0.9)
+    system = mechanics(radius, young, duration=60.0)
+    system.learnt = Learnt(speed=1e-3)
+    system.begin(replace(system.motion, end=system.motion.begin))
+    monkeypatch.setattr(Auto, "choose", Auto.by_motion)
+    outcome = Auto(atol=0.1).integrate(system, position)
+    assert outcome.done
+    assert outcome.position.tobytes() == position.tobytes()
+    assert Learnt(*system.learnt).seen == Learnt(*system.learnt).speed == 0.0
+
+
+def test_cvode_gets_less_of_the_tolerance_the_stiffer_the_step():
+    """At which it is as exact as Rosenbrock's method; what it should cost follows."""
+    found = {z: [auto._part(name, 0.5, z) for name in CANDIDATES] for z in (1e3, 1e5, 1e6, 1e9)}
+    assert found[1e3] == [1.0, 1.0, 1.0, 0.5, 0.5]
+    for z, less in ((1e5, 0.1), (1e6, 0.01), (1e9, 0.01)):
+        assert found[z][:-1] == found[1e3][:-1]
+        assert found[z][-1] == pytest.approx(0.5 * less)
+    _, radius, young = cluster(30, 2, spacing=0.9)
+    system = mechanics(radius, young, duration=60.0)
+    step = MIDDLE._replace(stiffness=1e6, cells=30)
+    expected = auto._costs(auto._seen(system, Learnt(), 0.1), step, 0.5, (0.0,) * 5)
+    assert expected["cvode"] == pytest.approx(step.work("cvode", 5e-3) * step.unit("cvode"))
+    # and it is given what was expected of it
+    method = auto.Choice(1e6, ("cvode",), 0.5)
+    solver = Auto(1e-5, 0.1).method("cvode", method.part("cvode"))
+    assert (solver.rtol, solver.atol) == pytest.approx((5e-8, 5e-4))
+
+
+def scene_of(**changes):
+    return Scene.from_dict(
+        {
+            "duration": "4 h",
+            "coupling_step": "10 min",
+            "initial": {"count": 40, "stage": "uniform"},
+            "contact": {"law": "jkr", "surface_energy": 0.1},
+            "drag": {"viscosity": 0.3},
+            "growth": {"cycle_time": "15 h"},
+            **changes,
+        }
     )
+
+
+def run_of(**changes):
+    return Simulation(scene_of(**changes), threads=1)
 
 
 def test_a_run_is_resumed_with_what_it_has_learnt():
@@ -245,6 +278,25 @@ def test_a_run_is_resumed_with_what_it_has_learnt():
         assert again.state.work == whole.state.work
 
 
+def test_a_run_that_was_stopped_in_the_middle_is_resumed_with_what_it_has_learnt(tmp_path):
+    """From its folder, by other numbers of threads, to the same bits."""
+    scene, left = scene_of(output={"every": "30 min"}), iter(range(14))
+
+    def stop(_):
+        if next(left, None) is None:
+            raise KeyboardInterrupt
+
+    whole = mc.run(scene, output=tmp_path / "whole", threads=1, report=False).frames[-1]
+    with pytest.raises(KeyboardInterrupt):
+        mc.run(scene, output=tmp_path / "part", threads=2, progress=stop, report=False)
+    stopped = mc.load_result(tmp_path / "part").frames[-1]
+    assert 0.0 < stopped.time < whole.time
+    assert Learnt(*stopped.progress.learnt).excess != (0.0,) * 5
+    again = mc.resume(tmp_path / "part", threads=1, report=False).frames[-1]
+    assert again.cells.position.tobytes() == whole.cells.position.tobytes()
+    assert tuple(again.progress.learnt) == tuple(whole.progress.learnt)
+
+
 def test_a_scene_that_is_mild_at_a_glance_measures_nothing():
     simulation = run_of(drag={"viscosity": 5.0}, duration="1 h")
     while not simulation.finished:
@@ -258,7 +310,7 @@ def test_what_is_learnt_is_the_same_for_any_threads():
     """To the bit, in coupling steps with and without a measured λ."""
     position, radius, young = cluster(400, 2, spacing=0.9)
     found = []
-    for count in (1, 2, 3):
+    for count in (1, 2, 16):
         system = mechanics(radius, young, duration=60.0, threads=count, chunk=60, shared_chunks=2)
         at, learnt = position, []
         for k in range(3):
