@@ -1,8 +1,8 @@
 """Counted work of each method in coupling steps: what `auto` is fitted to, and how near it comes.
 
 Problem   coupling steps of small runs, from bitwise the states of a run by the scene's defaults:
-          of scenes that the model of costs is fitted to, and (--unseen) the first six of ten scenes
-          that were drawn after the last fit
+          of scenes that the model of costs is fitted to, and (--unseen) the first six steps of ten
+          scenes that were drawn after the last fit
 Error     as in the tiles of docs/which-integrator.md: root mean square distance of the cells from
           the reference, over that of the motion that the best dilation leaves
 Question  counted work and CPU time of `auto` over the least of any method, at errors of 1 and
