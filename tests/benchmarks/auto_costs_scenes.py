@@ -203,5 +203,6 @@ UNSEEN: Changes = {
         },
     ),
 }
-"""What was drawn after the last fit. Of all but ``box at 0.013``, ``runners at 0.014`` and ``80 soft
-cells`` results were known before the last change of the choice, CVODE's part of the tolerance."""
+"""What was drawn after the last fit. Of all but ``box at 0.013``, ``runners at 0.014`` and ``80
+soft cells`` results were known before the last change of the choice, CVODE's part of the tolerance.
+"""
