@@ -145,8 +145,7 @@ class Auto(ErrorControl):
         held = not again and known.holds(motion.begin, motion.end, self.atol)
         if again or held:
             name = tuple(CANDIDATES)[int(known.taken)]
-            able = candidates(len(system), friction=max(system.friction) > 0.0)
-            order = _first(name, able)
+            order = _first(name, candidates(system))
             choice = Choice(known.stiffness, order, known.finer, limit=known.limit)
         else:
             choice = self.choose(system, position)
@@ -280,11 +279,11 @@ _STABLE = (Rkc2.info.name, Rosenbrock.info.name, Cvode.info.name)
 """What is tried after another method, in this order."""
 
 
-@lru_cache(maxsize=4096)
-def candidates(cells: int, *, friction: bool) -> tuple[str, ...]:
-    """Return the names of those methods that can hold so many cells, by their own ``info``."""
+def candidates(system: Mechanics) -> tuple[str, ...]:
+    """Return the names of those methods that can hold a system, by their own ``info``."""
+    n, friction = len(system), max(system.friction) > 0.0
     every = CANDIDATES.items()
-    return tuple(name for name, kind in every if not kind.info.refusal(cells, friction=friction))
+    return tuple([name for name, kind in every if not kind.info.refusal(n, friction=friction)])
 
 
 @final
@@ -311,8 +310,7 @@ def _seen(system: Mechanics, known: Learnt, tolerance: float) -> _Seen:
 
     excess = tuple(round(4.0 * x) for x in known.excess)
     n, python, pressed = len(system), needs_python(system), system.compression is not None
-    able = candidates(n, friction=max(system.friction) > 0.0)
-    return _Seen(able, _rounded(tolerance), _rounded(n), python, pressed, excess)
+    return _Seen(candidates(system), _rounded(tolerance), _rounded(n), python, pressed, excess)
 
 
 class _Glance(NamedTuple):

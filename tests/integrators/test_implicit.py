@@ -8,7 +8,7 @@ from strategies import cluster, mechanics
 
 from multicell import JKR, Hertz
 from multicell.errors import SceneError
-from multicell.integrators import costs, cvode_solver
+from multicell.integrators import auto, costs, cvode_solver
 from multicell.integrators.auto import Auto, measured_rate
 from multicell.integrators.backward_euler import BackwardEuler
 from multicell.integrators.cvode import Cvode
@@ -371,8 +371,10 @@ def test_auto_takes_an_implicit_method_where_rkc2_would_take_long():
     assert outcome.position.tobytes() == alone.position.tobytes()
 
 
-def test_a_step_that_is_not_as_mild_as_it_seems_is_begun_again(monkeypatch):
+def test_a_step_that_is_not_as_mild_as_it_seems_is_begun_again(monkeypatch, request):
     """By another method, from the beginning; what was tried in vain is counted."""
+    auto._sure.cache_clear()
+    request.addfinalizer(auto._sure.cache_clear)
     work = costs.CouplingStep.work
     mild = {"ab2-adaptive": 1.0}
     monkeypatch.setattr(
