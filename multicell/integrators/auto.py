@@ -1,38 +1,47 @@
-"""The method that should cost least for a coupling step, from its stiffness and tolerance.
+"""The method that should cost least for a coupling step, by a model of counted work.
 
-A step is judged by z = λΔt, λ being the largest decay rate. Its order of magnitude is known
-without any evaluation; where that is small, or z as measured, the step is mild:
+A step is judged by λΔt, λ being the largest decay rate, by its motion in tolerances, and by the
+number of cells (:mod:`multicell.integrators.costs`); the cheapest of these methods takes it:
 
-- ``ab2-adaptive`` takes mild steps, with one evaluation for each of its own. Beyond
-  :data:`MILD_TO` stability limits its steps, and modes at the edge of stability carry errors as
-  large as the tolerance;
-- ``rk4-adaptive`` takes steps up to :data:`EXACT_TO` at tight tolerances, where order pays;
-- ``rkc2`` takes what is stiffer: its stages grow as √z;
-- ``rosenbrock``, or ``cvode`` where friction between cells rules it out or tissue resists
-  compression, takes what is stiffer than :func:`implicit_from`. With m steps RKC2 needs
-  √(1.54 m z) evaluations and an implicit method some products for each, so that the limit grows
-  with m: where fresh daughters move it is forty times that of quiet tissue. Implicit methods get a
-  tenth of the tolerances there, at which they are about as exact as RKC2, and the whole in quiet
-  tissue.
+- ``ab2-adaptive``, one evaluation for each of its own steps, up to its limit of stability;
+- ``rk4-adaptive``, where order pays: at tolerances that are small beside the motion;
+- ``rkc2``, whose stages grow as √(λΔt);
+- ``rosenbrock`` or ``cvode``, where λΔt is large beside what moves.
 
-The limits are those of ``tests/benchmarks/auto_regret.py`` and of the tiles of
-docs/which-integrator.md. A method that cannot continue, or finds a mild step to be none, leaves the
-coupling step to the next one, from its beginning. Only methods that can hold the scene, by their
-own ``info``, are chosen from. The choice depends on the state at the beginning of the coupling step
-and on the options, on nothing else: a run that is resumed chooses as the uninterrupted one.
+Costs are compared at about the same accuracy (:meth:`Choice.part`): implicit methods get a tenth of
+the tolerances where fast modes move cells, the whole in quiet tissue, and CVODE less the larger λΔt
+is, as its errors over its tolerance grow.
+
+Where the order of magnitude of λ, which is known without any evaluation, leaves no doubt with the
+motion that was seen last, or with any, nothing is measured. Otherwise one evaluation gives the
+motion, and six products λ, unless its order of magnitude or an earlier one of this run is good
+enough for the choice. In small tissue a look costs as much as many evaluations, and is taken less.
+What coupling steps count corrects the model, and now and then the second choice is tried, as its
+extra cost is a fiftieth of what was spent since.
+
+What leaves no doubt is given to the same explicit method for some coupling steps, and in small
+tissue what was looked at, as long as none takes more than it could by what is known. A method that
+cannot continue, or finds a mild step to be none, leaves the coupling step to the next one, from its
+beginning. Only methods that can hold the scene, by their own ``info``, are chosen from. The choice
+depends on the state at the beginning of the coupling step, on the options and on the lessons of
+the run, which are counted and stored in its frames: a run that is resumed chooses as the
+uninterrupted one. A step that is repeated, as from a shifted start, is left to the method that took
+it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, make_dataclass
-from typing import TYPE_CHECKING, ClassVar, final
+from functools import lru_cache
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, final
 
 import numpy as np
 
 from multicell.integrators.adams_bashforth import AdaptiveAdams
 from multicell.integrators.base import ErrorControl, Integrator, MethodInfo, Outcome
+from multicell.integrators.costs import CouplingStep, Learnt
 from multicell.integrators.cvode import Cvode
 from multicell.integrators.rkc import Rkc2
 from multicell.integrators.rosenbrock import Rosenbrock
@@ -44,35 +53,37 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.mechanics.system import Mechanics
 
-_ITERATIONS = 6  # power iterations: λ may be read a fifth too low
-PATIENCE = 300  # evaluations that Adams-Bashforth may expect to take, by many cells
-_CHOICE = 2.0e3  # evaluations times cells that calls of Python cost when λ is measured
-_SUSPECT, _MOVES = 25.0, 60.0
-"""λΔt, by the order of magnitude of λ, from which on λ is measured in tissue at rest, and in tissue
-that moves, which Adams-Bashforth goes through where its stability allows it."""
-_TYPICAL = 0.6  # λ over its order of magnitude
-MILD_TO, _STILL = 150.0, 0.3
-"""λΔt up to which Adams-Bashforth costs less than RKC2, and the part of it up to which it does in
-tissue at rest, which RKC2 goes through in a few steps."""
-EXACT_FROM, EXACT_TO = 60.0, 500.0
-"""λΔt from which on stability limits the steps of Adams-Bashforth at tight tolerances, and up to
-which a method of order 4 costs less than RKC2 there."""
-_TIGHT, _VERY_TIGHT, _MILDER = 0.015, 0.0003, 1.3
-"""Tolerances in µm up to which a method of order 4 is taken: where stability limits the steps of
-Adams-Bashforth, so that it costs little more, and in any step; and the power of λΔt by which the
-first falls below that."""
+PATIENCE, _LONGER = 300, 3.0
+"""Evaluations that Adams-Bashforth may expect to take, by many cells, and over what the model
+expects, before the step is left to another method."""
+_PASSES, _CALLS = 8.0, 3.0e3
+"""Evaluations, and evaluations times cells by calls of Python, above which it pays to measure λ: a
+third of its cost in small tissue, as it is used again in later coupling steps."""
+_LOOK = 4.0e3  # evaluations times cells above which it pays to judge a step by its motion
+_HELD, _SMALL, _DEARER = 7.0, 600.0, 1.5
+"""Coupling steps after one without any doubt that are given to its method; number of cells up to
+which one is after Adams-Bashforth was chosen by a look, and with fewer cells more; and passes over
+the expected ones at which that ends."""
+_LEAST, _MOST = 0.3, 3.0
+"""λ over its order of magnitude: of tissue in which it was not measured."""
+_NEAR, _OLD = 1.4, 8.0
+"""Factor by which λ may differ from one that was measured so many coupling steps ago."""
+_NONE = 1e-15  # λ of one cell alone, 1/s
+_TYPICAL, _FURTHEST = 0.1, 1.0
+"""Motion of mildly stiff tissue over λΔt, µm: usually, and of cells that were placed anew."""
 _QUIET, _SHAKEN = 1e-3, 0.3
 """The way that fast modes carry the fastest cell, its speed over λ in tolerances: up to which there
 are no fast modes to follow, and from which on there are."""
-_IMPLICIT_FROM, _MOVING = 5e3, 40.0
-"""λΔt from which on an implicit method costs less than RKC2 in quiet tissue of a hundred cells, and
-by how much more where there are fast modes to follow."""
 _AS_EXACT = 0.1
 """Tolerance at which implicit methods are about as exact as RKC2 where there are fast modes to
 follow, over that of RKC2."""
-_STAGE, _PRODUCT = 300.0, 110.0
-"""Evaluations times cells that Python costs in an evaluation that goes through it, and in a product
-of the Rosenbrock method."""
+_EXACT_TO, _STIFFEST = 1e4, 1e6
+"""λΔt up to which CVODE is as exact as Rosenbrock's method at the same tolerance, and as far as its
+errors were compared: they grow with λΔt, in the tiles of docs/which-integrator.md, so that it needs
+a tenth of the tolerance at 10⁵ and a hundredth at 10⁶."""
+_PRESSED = 3.0  # products of Rosenbrock's solves over CVODE's where tissue resists compression
+_TRIALS, _RARELY = 0.02, 8
+"""Part of the cost that trials of the second choice may add, and coupling steps between two."""
 
 
 @final
@@ -82,23 +93,37 @@ class Choice:
 
     - ``stiffness``, float: λ times the length of the coupling step
     - ``order``, tuple of str: the methods that can hold the scene, in the order they are tried in
-    - ``finer``, float: part of the tolerances that an implicit method is given
+    - ``finer``, float: part of the tolerances that Rosenbrock's method is given
+    - ``step``: the properties that its cost follows from; None where nothing was measured
+    - ``ratio``, float: λ over its order of magnitude as measured here; 0 where it was not
+    - ``trial``, bool: whether it is the second choice, to learn its cost
+    - ``hold``, float: how many coupling steps after this one are given to the same method
+    - ``limit``, float: passes of one above which no more are
     """
 
     stiffness: float
     order: tuple[str, ...]
     finer: float = 1.0
+    step: CouplingStep | None = None
+    ratio: float = 0.0
+    trial: bool = False
+    hold: float = 0.0
+    limit: float = math.inf
 
     @property
     def method(self) -> str:
         """The one that should cost least."""
         return self.order[0]
 
+    def part(self, name: str) -> float:
+        """Return the part of the tolerances that a method is given."""
+        return _part(name, self.finer, self.stiffness)
+
 
 @final
 @dataclass(frozen=True)
 class Auto(ErrorControl):
-    """Chooses for each coupling step between explicit methods, RKC2 and an implicit method.
+    """Chooses for each coupling step between explicit methods, RKC2 and implicit methods.
 
     The steps by each method are counted in :data:`ChosenWork`. If a method cannot continue, the
     next one starts from the beginning of the coupling step.
@@ -115,75 +140,123 @@ class Auto(ErrorControl):
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
-        choice = self.choose(system, position)
+        known, motion, work = Learnt(*system.learnt), system.motion, system.work
+        again = known.of(motion.begin, motion.end, self.atol)
+        held = not again and known.holds(motion.begin, motion.end, self.atol)
+        if again or held:
+            name = tuple(CANDIDATES)[int(known.taken)]
+            order = _first(name, candidates(system))
+            choice = Choice(known.stiffness, order, known.finer, limit=known.limit)
+        else:
+            choice = self.choose(system, position)
+        patience = 0 if again else self._patience(choice, len(system))
+        taught, spent = choice.step, 0.0
+        total = work.effort
         for name in choice.order:
-            before = system.work.steps
-            outcome = self.method(name, choice.finer, len(system)).integrate(system, position)
-            _count(system, name, before)
+            before, taken, rubbing = work.effort, work.steps, work.friction_iterations
+            outcome = self.method(name, choice.part(name), patience).integrate(system, position)
+            _count(system, name, taken)
+            if taught is not None:
+                passes = float(work.effort - before - (work.friction_iterations - rubbing))
+                expected = taught.work(name, choice.part(name))
+                expected *= _dearer(name, system.compression is not None)
+                implicit = CANDIDATES[name].info.implicit
+                known = known.counted(_NUMBER[name], passes, expected, implicit=implicit)
+                spent += passes * taught.unit(name)
             if outcome.done:
                 break
+        if not again:
+            step, speed, length = choice.step, known.speed, motion.end - motion.begin
+            hold = known.hold - 1.0 if held else choice.hold
+            if step is not None:
+                speed = step.motion / length if length > 0.0 else 0.0
+            elif work.effort - total > choice.limit:
+                speed, hold = 0.0 if step is None else speed, 0.0
+            system.learnt = known._replace(
+                ratio=choice.ratio or known.ratio,
+                age=0.0 if choice.ratio else known.age + 1.0,
+                speed=speed,
+                seen=0.0 if step is not None else known.seen + 1.0,
+                saved=0.0 if choice.trial else known.saved + spent,
+                steps=0.0 if choice.trial else known.steps + 1.0,
+                begin=motion.begin,
+                end=motion.end,
+                atol=self.atol,
+                taken=float(_NUMBER[name]),
+                finer=choice.finer,
+                stiffness=choice.stiffness,
+                hold=hold,
+                limit=choice.limit if hold else 0.0,
+            )
         return outcome
 
     def choose(self, system: Mechanics, position: FloatArray) -> Choice:
         """Choose a method for the coupling step of ``system``, as at its beginning.
 
-        λ is not measured in one that is surely mild.
+        Nothing is measured where what is known leaves no doubt about an explicit method.
+        """
+        glance = self._glance(system)
+        if glance.low > 0.0:
+            z = math.sqrt(glance.low * glance.high)
+            motions = glance.known.motions(system.motion.end - system.motion.begin)
+            usual, most = motions or (_TYPICAL * z, _FURTHEST * z)
+            about = glance.low, glance.high, 0.0, usual, most  # tissue may be at rest in any step
+            name, limit = _sure(glance.seen, *map(_rounded, about))
+            if name and not CANDIDATES[name].info.implicit:
+                return Choice(z, _first(name, glance.seen.able), limit=limit, hold=_HELD)
+        return self.by_motion(system, position, glance)
+
+    def _glance(self, system: Mechanics) -> _Glance:
+        known, length = Learnt(*system.learnt), system.motion.end - system.motion.begin
+        low, high = _between(system, known)
+        seen = _seen(system, known, _tolerance(system, self.rtol, self.atol))
+        return _Glance(known, seen, low * length, high * length)
+
+    def by_motion(
+        self, system: Mechanics, position: FloatArray, glance: _Glance | None = None
+    ) -> Choice:
+        """Return the method that is cheapest for the motion at the beginning of the step.
+
+        λ is measured where what is known of it leaves a doubt.
         """
         from multicell.integrators.limits import stiffness_scale
 
-        rate = stiffness_scale(system)
-        scale = rate * (system.motion.end - system.motion.begin)
-        able, n = candidates(system), max(len(system), 1)
+        known, seen, low, high = glance or self._glance(system)
         tolerance = _tolerance(system, self.rtol, self.atol)
-        mild = EXACT if tolerance <= exact_below(_TYPICAL * scale) else MILD
-        # of gels and of tissue that resists compression the order of magnitude says nothing
-        gel = system.walls is not None and system.walls.shear is not None
-        known = not gel and system.compression is None
-        if (
-            known
-            and mild in able
-            and (
-                scale <= _SUSPECT + _CHOICE / n
-                or (scale <= _MOVES and _shaken(system, position, rate, tolerance) > 0.5)
-            )
-        ):
-            return Choice(scale, _first(mild, able))
-        return self.by_measured_rate(system, position)
-
-    def by_measured_rate(self, system: Mechanics, position: FloatArray) -> Choice:
-        """Return the method that is cheapest for λ as measured."""
-        from multicell.integrators.driver import needs_python
-        from multicell.integrators.limits import stiffness_scale
-
-        able = candidates(system)
-        tolerance = _tolerance(system, self.rtol, self.atol)
-        rate, grows = largest_rate(system, position)
         length = system.motion.end - system.motion.begin
-        z = rate * length
-        if z <= EXACT_TO and tolerance <= exact_below(z):
-            return Choice(z, _first(EXACT, able))
-        shaken = 1.0
-        if z > _STILL * MILD_TO:
-            shaken = _shaken(system, position, rate, tolerance)
-        # contacts that are just forming grow faster than any relax, which limits no explicit step
-        mild = min(z, stiffness_scale(system) * length) if grows else z
-        if mild <= MILD_TO * _STILL ** (1.0 - shaken):
-            return Choice(z, _first(MILD, able))
-        implicit = z > implicit_from(len(system), shaken, python=needs_python(system))
-        stable = [name for name in _STABLE if name in able and CANDIDATES[name].info.implicit]
-        # with compression Rosenbrock's solves take three times as many products as CVODE's
-        first = -1 if system.compression is not None else 0
-        name = stable[first] if implicit and stable else Rkc2.info.name
-        return Choice(z, _first(name, able), float(_AS_EXACT**shaken))
+        motion, furthest = (speed * length for speed in _speeds(system, position))
+        z, ratio, name = math.sqrt(low * high), 0.0, ""
+        if low > 0.0:
+            name, _ = _sure(seen, *map(_rounded, (low, high, motion, motion, motion, furthest)))
+        if not name:
+            rate, scale = measured_rate(system, position), stiffness_scale(system)
+            z, ratio = rate * length, rate / scale if scale > 0.0 else 0.0
+        step = CouplingStep(z, motion, tolerance, len(system), seen.python)
+        finer, trial = _finer(furthest, z, tolerance), False
+        if not name or known.steps >= _RARELY:
+            found = _costs(seen, step, finer, known.excess)
+            name, *others = sorted(seen.able, key=found.__getitem__)
+            if others and known.steps >= _RARELY:
+                trial = found[others[0]] - found[name] <= _TRIALS * known.saved
+                name = others[0] if trial else name
+        hold, limit = 0.0, math.inf
+        if name == MILD and not trial:
+            hold = min(_HELD, _SMALL // max(len(system), 1))
+            limit = _DEARER * step.work(name) * math.exp(max(known.excess[_NUMBER[name]], 0.0))
+        return Choice(z, _first(name, seen.able), finer, step, ratio, trial, hold, limit)
 
-    def method(self, name: str, finer: float = 1.0, cells: int = 1) -> Integrator:
-        """Return a candidate with these options; an implicit one with finer tolerances."""
+    def method(self, name: str, part: float = 1.0, patience: int = PATIENCE) -> Integrator:
+        """Return a candidate with these options and a part of the tolerances."""
         kind = CANDIDATES[name]
-        finer = finer if kind.info.implicit else 1.0
-        options = finer * self.rtol, finer * self.atol, self.max_steps, self.max_displacement
+        options = part * self.rtol, part * self.atol, self.max_steps, self.max_displacement
         if kind is AdaptiveAdams:
-            return AdaptiveAdams(*options, int(PATIENCE + _CHOICE / max(cells, 1)))
+            return AdaptiveAdams(*options, patience)
         return kind(*options)
+
+    def _patience(self, choice: Choice, cells: int) -> int:
+        """Return how many evaluations Adams-Bashforth may expect to take."""
+        expected = 0.0 if choice.step is None else _LONGER * choice.step.work(MILD)
+        return int(max(PATIENCE, expected) + _CALLS / max(cells, 1))
 
 
 METHODS = (Auto,)
@@ -192,6 +265,7 @@ CANDIDATES: dict[
     type[AdaptiveAdams] | type[AdaptiveRungeKutta4] | type[Rkc2] | type[Rosenbrock] | type[Cvode],
 ] = {kind.info.name: kind for kind in (AdaptiveAdams, AdaptiveRungeKutta4, Rkc2, Rosenbrock, Cvode)}
 """What is chosen from."""
+_NUMBER = {name: k for k, name in enumerate(CANDIDATES)}
 COUNTERS = {name: f"steps_{name.replace('-', '_')}" for name in CANDIDATES}
 """Name of each of them -> where its steps are counted."""
 ChosenWork: type[Work] = make_dataclass(
@@ -205,12 +279,120 @@ _STABLE = (Rkc2.info.name, Rosenbrock.info.name, Cvode.info.name)
 """What is tried after another method, in this order."""
 
 
-def candidates(system: Mechanics) -> list[str]:
+def candidates(system: Mechanics) -> tuple[str, ...]:
     """Return the names of those methods that can hold a system, by their own ``info``."""
     n, friction = len(system), max(system.friction) > 0.0
-    return [
-        name for name, kind in CANDIDATES.items() if kind.info.refusal(n, friction=friction) is None
-    ]
+    every = CANDIDATES.items()
+    return tuple([name for name, kind in every if not kind.info.refusal(n, friction=friction)])
+
+
+@final
+class _Seen(NamedTuple):
+    """Facts of a coupling step at a glance; logarithms are those of :func:`_rounded`.
+
+    - ``able``: names of the methods that can hold it
+    - ``tolerance``, ``cells``: logarithms
+    - ``python``: whether evaluations go through Python
+    - ``pressed``: whether the tissue resists compression
+    - ``excess``: four times log(counted / expected) of each method
+    """
+
+    able: tuple[str, ...]
+    tolerance: int
+    cells: int
+    python: bool
+    pressed: bool
+    excess: tuple[int, ...]
+
+
+def _seen(system: Mechanics, known: Learnt, tolerance: float) -> _Seen:
+    from multicell.integrators.driver import needs_python
+
+    excess = tuple(round(4.0 * x) for x in known.excess)
+    n, python, pressed = len(system), needs_python(system), system.compression is not None
+    return _Seen(candidates(system), _rounded(tolerance), _rounded(n), python, pressed, excess)
+
+
+class _Glance(NamedTuple):
+    """Facts of a coupling step without an evaluation: ``low`` and ``high`` are bounds of λΔt."""
+
+    known: Learnt
+    seen: _Seen
+    low: float
+    high: float
+
+
+def _rounded(value: float) -> int:
+    """Return four times the logarithm of base 2: what costs are looked up by."""
+    return round(4.0 * math.log2(max(value, 1e-9)))
+
+
+def _costs(
+    seen: _Seen, step: CouplingStep, finer: float, excess: Sequence[float]
+) -> dict[str, float]:
+    """Return the expected cost of each method, in evaluations of all cells."""
+    costs = {}
+    for name in seen.able:
+        work = step.work(name, _part(name, finer, step.stiffness)) * _dearer(name, seen.pressed)
+        costs[name] = work * step.unit(name) * math.exp(excess[_NUMBER[name]])
+    return costs
+
+
+def _dearer(name: str, pressed: bool) -> float:
+    """Return the work of a method over that of the model, where ``_Seen`` says why."""
+    return _PRESSED if pressed and CANDIDATES[name] is Rosenbrock else 1.0
+
+
+def _part(name: str, finer: float, stiffness: float) -> float:
+    """Return the part of the tolerances at which a method is about as exact as the others.
+
+    - ``finer``: that of Rosenbrock's method, by :func:`_finer`
+    - ``stiffness``: λΔt
+    """
+    if not CANDIDATES[name].info.implicit:
+        return 1.0
+    if CANDIDATES[name] is not Cvode:
+        return finer
+    return finer * _EXACT_TO / min(max(stiffness, _EXACT_TO), _STIFFEST)
+
+
+@lru_cache(maxsize=4096)
+def _sure(
+    seen: _Seen,
+    low: int,
+    high: int,
+    slow: int,
+    usual: int,
+    fast: int,
+    furthest: int | None = None,
+) -> tuple[str, float]:
+    """Return the method that is cheapest but for the cost of a closer look, or nothing.
+
+    It is the cheapest in the middle, and dearer than another by no more than that at the ends. All
+    arguments are logarithms of :func:`_rounded`. Returns too how many passes it takes at most.
+
+    - ``low``, ``high``: what λΔt is between
+    - ``slow``, ``usual``, ``fast``, µm: root mean square motion, what it is between
+    - ``furthest``, µm: largest motion; None where no look at the motion has been taken
+    """
+    excess = [0.25 * x for x in seen.excess]
+    tolerance, n = 2.0 ** (0.25 * seen.tolerance), max(round(2.0 ** (0.25 * seen.cells)), 1)
+
+    def cases(z: int, *ways: int) -> list[dict[str, float]]:
+        stiffness, moved = 2.0 ** (0.25 * z), [2.0 ** (0.25 * x) for x in dict.fromkeys(ways)]
+        far = 1.0 if furthest is None else _finer(2.0 ** (0.25 * furthest), stiffness, tolerance)
+        steps = [CouplingStep(stiffness, way, tolerance, n, seen.python) for way in moved]
+        return [_costs(seen, step, far, excess) for step in steps]
+
+    (middle,) = cases(round(0.5 * (low + high)), usual)
+    best = min(seen.able, key=middle.__getitem__)
+    every = [middle, *cases(low, slow, fast), *cases(high, slow, fast)]
+    regret = max(costs[best] - min(costs.values()) for costs in every)
+    closer = 1.0 + _LOOK / n if furthest is None else _PASSES + _CALLS / n
+    if regret > closer:
+        return "", math.inf
+    unit = CouplingStep(1.0, 1.0, tolerance, n, seen.python).unit(best)
+    return best, max(costs[best] for costs in every) / unit
 
 
 def _first(name: str, able: Collection[str]) -> tuple[str, ...]:
@@ -229,64 +411,73 @@ def _tolerance(system: Mechanics, rtol: float, atol: float) -> float:
     return atol + rtol * (system.motion.mean_radius if len(system) else 1.0)
 
 
-def exact_below(z: float) -> float:
-    """Return the tolerance in µm up to which a method of order 4 is taken in a mild step."""
-    return float(max(_VERY_TIGHT, _TIGHT * min(1.0, z / EXACT_FROM) ** _MILDER))
+def _between(system: Mechanics, known: Learnt) -> tuple[float, float]:
+    """Return bounds of λ, 1/s; zeros where only a measurement gives them.
 
-
-def implicit_from(n: int, shaken: float, *, python: bool = False) -> float:
-    """Return the λΔt from which on an implicit method costs less than RKC2.
-
-    - ``n``: number of cells
-    - ``shaken``: 0 where there are no fast modes to follow, 1 where there are
-    - ``python``: whether evaluations go through Python, which RKC2 needs more of
+    In gels and against compression λ does not follow its order of magnitude: a measured one counts
+    for some coupling steps.
     """
-    dear = (1.0 + _STAGE / n) / (1.0 + _PRODUCT / n) if python else 1.0
-    return float(_IMPLICIT_FROM * _MOVING**shaken * (n / 100.0) ** 0.25 / dear**2)
+    from multicell.integrators.limits import stiffness_scale
+
+    if len(system) < 2 and system.walls is None:
+        return _NONE, _NONE
+    scale, near = stiffness_scale(system), _NEAR ** (known.age / _OLD)
+    gel = system.walls is not None and system.walls.shear is not None
+    if gel or system.compression is not None:
+        rate = known.ratio * scale if known.age < _OLD else 0.0
+        return rate / near, rate * near
+    if not known.ratio:
+        return _LEAST * scale, _MOST * scale
+    low = max(known.ratio / near, min(known.ratio, _LEAST))
+    return low * scale, min(known.ratio * near, max(known.ratio, _MOST)) * scale
 
 
-def _shaken(system: Mechanics, position: FloatArray, rate: float, tolerance: float) -> float:
-    """Return 0 where there are no fast modes to follow, up to 1 where there are."""
-    fast = max(_fastest(system, position) / rate / tolerance, _QUIET)
-    return min(math.log(fast / _QUIET) / math.log(_SHAKEN / _QUIET), 1.0)
+def _finer(furthest: float, stiffness: float, tolerance: float) -> float:
+    """Return the part of the tolerance that an implicit method is given.
+
+    The whole where there are no fast modes to follow, down to a tenth where there are.
+
+    - ``furthest``, µm: speed of the fastest cell times the length of the step
+    """
+    fast = max(furthest / stiffness / tolerance, _QUIET) if stiffness else _SHAKEN
+    shaken = min(math.log(fast / _QUIET) / math.log(_SHAKEN / _QUIET), 1.0)
+    return float(_AS_EXACT**shaken)
 
 
-def _fastest(system: Mechanics, position: FloatArray) -> float:
-    """Return the speed of the fastest cell, µm/s; zero where it cannot be evaluated."""
+def _speeds(system: Mechanics, position: FloatArray) -> tuple[float, float]:
+    """Return the root mean square and the largest speed of the cells, µm/s.
+
+    Both are zero where they cannot be evaluated.
+    """
     from multicell.mechanics.motion import StateRejected
 
     velocity = np.empty_like(position)
     try:
         system.velocity(system.motion.begin, position, velocity)
     except StateRejected:
-        return 0.0
-    return float(np.sqrt(squares(velocity).max())) if len(position) else 0.0
+        return 0.0, 0.0
+    if not len(position):
+        return 0.0, 0.0
+    found = squares(velocity)
+    return math.sqrt(float(found.sum()) / len(found)), math.sqrt(float(found.max()))
 
 
-def largest_rate(system: Mechanics, position: FloatArray) -> tuple[float, bool]:
-    """Return an estimate of the largest |eigenvalue| of J, 1/s, and whether it is one of growth.
+def measured_rate(system: Mechanics, position: FloatArray) -> float:
+    """Return the largest decay rate λ, 1/s, as it should be expected in the coupling step.
 
-    By power iteration in the scalar product of the drag coefficients, in which J is symmetric;
-    the start is fixed. The estimate is from below: a random start of 3n numbers finds the upper
-    end of a dense spectrum to a tenth or so.
+    The end of the spectrum with its residual, which few products find to a tenth. Where growth is
+    faster, as of contacts that are just forming, it is about to change: then the order of magnitude
+    counts, if that is higher. Growth itself limits no explicit step.
     """
+    from multicell.integrators.limits import stiffness_scale
+    from multicell.mechanics.decay_rate import spectrum_ends
     from multicell.mechanics.motion import StateRejected
 
     if len(system) < 2 and system.walls is None:
-        return 0.0, False
-    weight = system.motion.radius[:, None]
-    vector = np.random.default_rng(0).normal(size=position.shape)
-    image, rate, along = np.empty_like(vector), 0.0, 0.0
+        return 0.0
     try:
-        system.linearise(system.motion.begin, position)
-        for _ in range(_ITERATIONS):
-            vector /= math.sqrt(float((weight * vector * vector).sum()))
-            system.jacobian_product(vector, image)
-            rate = math.sqrt(float((weight * image * image).sum()))
-            if rate == 0.0:
-                return 0.0, False
-            along = float((weight * vector * image).sum())
-            vector, image = image, vector
+        decay, residual, growth = spectrum_ends(system, system.motion.begin, position)
     except StateRejected:
-        return 0.0, False
-    return rate, along > 0.0
+        return 0.0
+    rate = max(decay + residual, 0.0)
+    return max(rate, stiffness_scale(system)) if growth > decay else rate

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 RECORDED: Final = 20  # products that give the largest decay rate to what a limit of a step needs
 
+GLANCED: Final = 6  # products that bracket the spectrum to what a choice of a method needs
+
+_ROUNDING: Final = 1e-12  # of an image, over the largest: what is left of it has no direction
 _ANY: Final = 1e30  # a relative tolerance at which ARPACK stops after its first sweep
 
 
@@ -78,6 +81,41 @@ def _by_one_sweep(
         return float("nan")
     vector = vectors[:, 0] / np.linalg.norm(vectors[:, 0])
     return float(vector @ product(vector))
+
+
+def spectrum_ends(
+    system: Mechanics, time: float, position: FloatArray
+) -> tuple[float, float, float]:
+    """Return the ends of the spectrum of J at a state, in :data:`GLANCED` products.
+
+    By the Lanczos method, from a vector that is the same in every call, with all directions kept
+    orthogonal. Cells at one height without walls move within their plane.
+
+    - ``system``: made ready for the coupling step; its last linearisation is replaced
+
+    Returns float, 1/s: the largest decay rate, from below; float, 1/s: its residual, by which it
+    may be higher; float, 1/s: the largest rate of growth, from below, negative if nothing grows.
+    """
+    system.linearise(time, position)
+    flat = system.walls is None and np.ptp(position[:, 2]) == 0.0
+    dimensions = 2 if flat else 3
+    product, size = symmetric_product(system, dimensions), dimensions * len(position)
+    most = min(GLANCED, size)
+    basis, inner = np.empty((most, size)), np.zeros((most, most))
+    vector = np.random.default_rng(0).normal(size=size)
+    left, used = float(np.sqrt((vector * vector).sum())), 0
+    for k in range(most):
+        basis[k] = vector / left
+        vector, used = product(basis[k]), k + 1
+        # sums by NumPy: those of a linear algebra library depend on its threads
+        inner[k, :used] = (basis[:used] * vector).sum(axis=1)
+        vector -= (inner[k, :used, None] * basis[:used]).sum(axis=0)
+        left = float(np.sqrt((vector * vector).sum()))
+        if left <= _ROUNDING * float(np.abs(inner).max()):
+            break
+    # the lower triangle is read
+    values, shapes = np.linalg.eigh(inner[:used, :used])
+    return -float(values[0]), left * abs(float(shapes[-1, 0])), float(values[-1])
 
 
 def symmetric_product(system: Mechanics, dimensions: int) -> Callable[[FloatArray], FloatArray]:

@@ -134,6 +134,8 @@ class Mechanics:
         self.prescribed: Prescribed | None = None
         # of the coupling step, once multicell.integrators.limits has found it, 1/s
         self.stiffness_scale: float | None = None
+        # what the coupling steps of a run have taught multicell.integrators.auto
+        self.learnt: tuple[float, ...] = ()
 
     def begin(self, motion: Motion) -> None:
         """Take the radii and moduli for a coupling step; the old list is dropped."""

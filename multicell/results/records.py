@@ -54,6 +54,7 @@ _OF_PARTS: Final = (
     "exposures",
     "first_states",
     "inside",
+    "learnt",
     "replays",
     "stability",
 )

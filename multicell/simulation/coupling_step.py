@@ -122,6 +122,7 @@ def next_state(run: Machinery, state: RunState) -> RunState:
         replays=moved.replays,
         stability=moved.stability,
         work=run.work(),
+        learnt=run.mover.system.learnt,
         cavity=run.mover.cavity,
         inside=state.inside,
         growth=growth,

@@ -64,6 +64,7 @@ def begun(run: Machinery, cells: Cells, lineage: Lineage, *, given_states: bool)
         replays=Replays(),
         stability=Stability() if run.mover.limit > 0.0 else None,
         work={},
+        learnt=(),
         cavity=None,
         inside=() if networks is None else networks.columns,
     )

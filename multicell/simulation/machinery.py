@@ -80,6 +80,7 @@ class Machinery:
         """Let the parts continue from a state."""
         self.field_system.state, self.field_system.time = state.fields, state.timeline.time
         vars(self.mover.system.work).update(state.work)
+        self.mover.system.learnt = tuple(state.learnt)
         if state.cavity is not None:
             self.mover.cavity = state.cavity
 

@@ -94,6 +94,7 @@ class RunState:
       take none
     - ``stability``: how far a fixed step was from its limit; None where the method has no limit
     - ``work``: counts of the cost of integration
+    - ``learnt``: what ``auto`` has learnt from them (:class:`.integrators.costs.Learnt`)
     - ``cavity``, µm: radius to which cells have widened a gel, where its next one is looked for;
       None without a gel
     - ``inside``: names of the columns of ``cells.inside``, of the networks in cells
@@ -117,6 +118,7 @@ class RunState:
     replays: Replays | None = field(metadata=_entry(None, _entries, _replays))
     stability: Stability | None = field(metadata=_entry(None, _entries, _stability))
     work: Mapping[str, int] = field(metadata=_entry(None, dict, dict))
+    learnt: Sequence[float] = field(metadata=_entry(None, list, tuple))
     cavity: float | None = field(metadata=_entry())
     inside: Sequence[str] = field(metadata=_entry(None, list, tuple))
     growth: FloatArray | None = field(default=None, metadata=_DERIVED)

@@ -8,14 +8,16 @@ from strategies import cluster, mechanics
 
 from multicell import JKR, Hertz
 from multicell.errors import SceneError
-from multicell.integrators import auto, cvode_solver
-from multicell.integrators.auto import Auto, largest_rate
+from multicell.integrators import auto, costs, cvode_solver
+from multicell.integrators.auto import Auto, measured_rate
 from multicell.integrators.backward_euler import BackwardEuler
 from multicell.integrators.cvode import Cvode
+from multicell.integrators.limits import stiffness_scale
 from multicell.integrators.restarts import IntegrationProgress, StepImpossible, Taken
 from multicell.integrators.rkc import Rkc2
 from multicell.integrators.rosenbrock import Rosenbrock
 from multicell.integrators.scipy import Scipy
+from multicell.mechanics.decay_rate import spectrum_ends
 from multicell.mechanics.jacobian import limited, sparse_jacobian
 from multicell.mechanics.neighbours import spatial_order
 from multicell.mechanics.preconditioners import Sweeps
@@ -30,7 +32,7 @@ def test_no_step_limit_from_stability():
     ).position  # fmt: skip
     for method in (Cvode(), BackwardEuler(100.0), BackwardEuler(1000.0)):
         system = mechanics(radius, young, duration=1000.0, viscosity=0.01)
-        limit_of_euler = 2.0 / largest_rate(system, settled)[0]
+        limit_of_euler = 2.0 / measured_rate(system, settled)
         outcome = method.integrate(system, settled)
         assert outcome.done
         assert system.work.steps < 0.02 * 1000.0 / limit_of_euler
@@ -307,15 +309,19 @@ def test_auto_chooses_by_stiffness_and_tolerance():
     position, radius, young = cluster(400, 2, spacing=0.9)
     soft = mechanics(radius, young, duration=60.0)
     stiff = mechanics(radius, young, duration=6e5, viscosity=0.05)
-    some = mechanics(radius, young, duration=2e4)
-    chosen = [Auto(1e-6, 0.1).by_measured_rate(system, position) for system in (soft, some, stiff)]
+    some = mechanics(radius, young, duration=1e5)
+    chosen = [Auto(1e-6, 0.1).by_motion(system, position) for system in (soft, some, stiff)]
     assert [choice.method for choice in chosen] == ["ab2-adaptive", "rkc2", "rosenbrock"]
-    assert Auto(1e-6, 1e-4).by_measured_rate(soft, position).method == "rk4-adaptive"
-    exact = np.abs(np.linalg.eigvals(sparse_jacobian(soft).toarray())).max() * 60.0
-    assert 0.7 * exact < chosen[0].stiffness <= exact * (1 + 1e-12)
-    assert Auto(1e-6, 0.1).by_measured_rate(soft, position) == chosen[0]
+    assert Auto(1e-6, 1e-4).by_motion(soft, position).method == "rk4-adaptive"
+    # λ of mild tissue is not measured
+    assert soft.work.linearisations == 0
+    found = measured_rate(soft, position)
+    exact = -np.linalg.eigvals(sparse_jacobian(soft).toarray()).real.min()
+    assert 0.95 * exact < found < 1.15 * exact
+    assert 0.3 < chosen[0].stiffness / (60.0 * exact) < 3.0
+    assert Auto(1e-6, 0.1).by_motion(soft, position) == chosen[0]
     lone = mechanics(np.array([5.0]), np.array([1.0]))
-    assert largest_rate(lone, np.zeros((1, 3)))[0] == 0.0
+    assert measured_rate(lone, np.zeros((1, 3))) == 0.0
 
 
 def test_auto_counts_the_steps_of_each_method():
@@ -334,32 +340,46 @@ def test_auto_does_not_take_the_growth_of_forming_contacts_for_stiffness():
     position = np.zeros((40, 3))
     position[:, 0] = 9.998 * np.arange(40)  # each just inside first contact with the next
     system = mechanics(radius, young, JKR(surface_energy=0.1), duration=2500.0)
-    rate, grows = largest_rate(system, position)
+    decay, residual, growth = spectrum_ends(system, 0.0, position)
     spectrum = np.linalg.eigvals(sparse_jacobian(system).toarray()).real
-    assert grows
-    assert 2500.0 * rate > auto.MILD_TO > -2500.0 * spectrum.min()
-    assert 0.7 * spectrum.max() < rate <= spectrum.max() * (1 + 1e-12)
-    assert Auto(1e-6, 0.1).by_measured_rate(system, position).method == "ab2-adaptive"
+    assert growth > 20.0 * decay
+    assert 0.9 * spectrum.max() < growth <= spectrum.max() * (1 + 1e-12)
+    assert decay <= -spectrum.min() * (1 + 1e-12) + 1e-12
+    # what contacts relax at once they have formed counts
+    rate = measured_rate(system, position)
+    assert rate == max(decay + residual, stiffness_scale(system))
+    assert 2500.0 * growth > 5.0 * 2500.0 * rate
     settled = 9.0 * position / 9.998
-    assert not largest_rate(system, settled)[1]
+    decay, residual, growth = spectrum_ends(system, 0.0, settled)
+    assert growth < decay
+    assert measured_rate(system, settled) == decay + residual
 
 
 def test_auto_takes_an_implicit_method_where_rkc2_would_take_long():
     position, radius, young = cluster(300, 2, spacing=0.9)
     system = mechanics(radius, young, duration=6e5, viscosity=0.05)
+    choice = Auto().choose(system, position)
     outcome = Auto().integrate(system, position)
     assert outcome.done
     assert outcome.time == 6e5
     assert system.work.steps == system.work.steps_rosenbrock > 0
     fresh = mechanics(radius, young, duration=6e5, viscosity=0.05)
     # implicit methods are further off at the same tolerances
-    alone = Rosenbrock(0.1 * Auto().rtol, 0.1 * Auto().atol).integrate(fresh, position)
+    assert choice.finer == pytest.approx(0.1)
+    finer = choice.finer * Auto().rtol, choice.finer * Auto().atol
+    alone = Rosenbrock(*finer).integrate(fresh, position)
     assert outcome.position.tobytes() == alone.position.tobytes()
 
 
-def test_a_step_that_is_not_as_mild_as_it_seems_is_begun_again(monkeypatch):
+def test_a_step_that_is_not_as_mild_as_it_seems_is_begun_again(monkeypatch, request):
     """By another method, from the beginning; what was tried in vain is counted."""
-    monkeypatch.setattr(auto, "MILD_TO", 1e9)
+    auto._sure.cache_clear()
+    request.addfinalizer(auto._sure.cache_clear)
+    work = costs.CouplingStep.work
+    mild = {"ab2-adaptive": 1.0}
+    monkeypatch.setattr(
+        costs.CouplingStep, "work", lambda step, name, *finer: mild.get(name) or work(step, name)
+    )
     position, radius, young = cluster(300, 2, spacing=0.9)
     system = mechanics(radius, young, duration=6e4)
     outcome = Auto(atol=0.1).integrate(system, position)
