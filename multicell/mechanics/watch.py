@@ -2,8 +2,8 @@
 
 To look at all pairs after each step would cost a tenth of it. Each cell is given room: a gap as
 wide as the room of its two cells is not closed before one of them has used up its own. Pairs that
-are closer are noted, and looked at until then. A cell that moves fast gets much room: it alone has
-many pairs noted, and not all others too.
+are closer are noted with their gaps, and looked at where the ways of both cells add up to that. A
+cell that moves fast gets much room: it alone has many pairs noted, and not all others too.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from multicell.mechanics.neighbours import PairList
 
 _LEAST = 0.05  # room of a cell that hardly moves, in the largest radius
-_STEPS = 64.0  # room of others, over the way in a step
+_STEPS = 32.0  # room of others, over the way in a step
 _ABOVE = 1.0 + 1e-6  # makes up for what single precision may lose
 
 
