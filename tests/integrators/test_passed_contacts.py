@@ -143,7 +143,7 @@ def test_the_pairs_that_are_watched_have_all_that_come_into_contact(seed, law):
     watch, position, time = ContactWatch(system.motion), 42.0 * rng.random((n, 3)), 0.0
     pace = 10.0 ** rng.uniform(-5.0, -1.0, (n, 1))
     seen, looked = [], 0.0
-    for k in range(60):
+    for k in range(240):
         dt = 10.0 ** rng.uniform(-0.5, 0.5)
         speed, later = (pace * rng.normal(size=(n, 3)) for _ in range(2))
         path = position, position + 0.5 * dt * (speed + later), speed, later
@@ -158,7 +158,7 @@ def test_the_pairs_that_are_watched_have_all_that_come_into_contact(seed, law):
         near = arrays.gap[:known] <= closed[arrays.first[:known]] + closed[arrays.second[:known]]
         found = all_forming(system, *step, path, way, 0.01)
         assert np.isin(found, watched[near]).all()
-        looked += near.sum() / known / 60
+        looked += near.sum() / known / 240
         seen.append(len(found))
         renewed += watch._since != before
         if k % 5:
