@@ -104,9 +104,9 @@ def _look(watched, known, radius, rate, pairs, rows, path, elapsed, dt, way, sla
 class Watched(NamedTuple):
     """Arrays of a watch.
 
-    Of cells where they were, their room, and what they may have closed of gaps since; of pairs
-    their places in the list, their cells, and gaps or overlaps. ``found`` are those that come into
-    contact in the last step, ``least`` the least room, µm.
+    Of cells their places at the search, their room, and the part of gaps that each may have closed
+    since; of pairs their places in the list, their cells, and gaps or overlaps. ``found`` are those
+    that come into contact in the last step, ``least`` the least room, µm.
     """
 
     reference: FloatArray
