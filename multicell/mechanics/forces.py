@@ -594,16 +594,23 @@ def pairs_about_to_touch(pairs, rows, elapsed, room, places):
     count = 0
     for c in range(pairs.start.size):
         for p in range(pairs.start[c], pairs.outer_end[c]):
-            i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
-            dx, dy, dz = rows[j, 0] - rows[i, 0], rows[j, 1] - rows[i, 1], rows[j, 2] - rows[i, 2]
-            dx, dy, dz = nearest_image(pairs.period, dx, dy, dz)
-            reach = rows[i, RADIUS] + rows[j, RADIUS]
-            reach -= _begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
-            horizon = room[i] + room[j]
-            low, square = max(reach - horizon, 0.0), dx * dx + dy * dy + dz * dz
+            square, reach = apart(rows, pairs, p, elapsed)
+            horizon = room[np.uint32(pairs.first[p])] + room[np.uint32(pairs.second[p])]
+            low = max(reach - horizon, 0.0)
             places[count] = p
             count += np.int64((square > low * low) & (square < (reach + horizon) ** 2))
     return count
+
+
+@njit(**INLINED)
+def apart(rows, pairs, p, elapsed):
+    """Return the square of the distance of a pair, µm², and the distance at which it touches."""
+    i, j = np.uint32(pairs.first[p]), np.uint32(pairs.second[p])
+    dx, dy, dz = rows[j, 0] - rows[i, 0], rows[j, 1] - rows[i, 1], rows[j, 2] - rows[i, 2]
+    dx, dy, dz = nearest_image(pairs.period, dx, dy, dz)
+    reach = rows[i, RADIUS] + rows[j, RADIUS]
+    reach -= _begin_of_contact(pairs.unit, pairs.onset, p, elapsed)
+    return dx * dx + dy * dy + dz * dz, reach
 
 
 @arithmetic

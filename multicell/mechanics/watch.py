@@ -2,8 +2,8 @@
 
 To look at all pairs after each step would cost a tenth of it. Each cell is given room: a gap as
 wide as the room of its two cells is not closed before one of them has used up its own. Pairs that
-are closer are noted, and looked at until then. A cell that moves fast gets much room: it alone has
-many pairs noted, and not all others too.
+are closer are noted with their gaps, and looked at where the ways of both cells add up to that. A
+cell that moves fast gets much room: it alone has many pairs noted, and not all others too.
 """
 
 from __future__ import annotations
@@ -17,7 +17,12 @@ from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.compiling import INNER, KERNEL
-from multicell.mechanics.forces import forming_pairs, missed_contact, pairs_about_to_touch
+from multicell.mechanics.forces import (
+    apart,
+    forming_pairs,
+    missed_contact,
+    pairs_about_to_touch,
+)
 
 if TYPE_CHECKING:
     from multicell.mechanics.forces import CellData, PairData
@@ -25,25 +30,57 @@ if TYPE_CHECKING:
     from multicell.mechanics.neighbours import PairList
 
 _LEAST = 0.05  # room of a cell that hardly moves, in the largest radius
-_STEPS = 16.0  # room of others, over the way in a step
+_STEPS = 32.0  # room of others, over the way in a step
+_ABOVE = 1.0 + 1e-6  # makes up for what single precision may lose
 
 
 @njit(**INNER)
-def _has_room(reference, room, before, after, slack):
-    """Return whether no cell has used up its room, nor does so in a step, to and fro."""
-    for i in range(room.size):
-        left = room[i] - slack
+def _have_room(watched, before, after, slack):
+    """Return whether no cell uses up its room in a step, to and fro.
+
+    Notes what each of them may have closed of a gap by then.
+    """
+    reference, enough = watched.reference, True
+    for i in range(watched.room.size):
         x, y, z = before[i, 0], before[i, 1], before[i, 2]
         dx, dy, dz = x - reference[i, 0], y - reference[i, 1], z - reference[i, 2]
         gone = dx * dx + dy * dy + dz * dz
         dx, dy, dz = after[i, 0] - x, after[i, 1] - y, after[i, 2] - z
         way = dx * dx + dy * dy + dz * dz
-        # saves the roots
-        if left > 0.0 and max(gone, way) <= left * left / 9.0:
-            continue
-        if not math.sqrt(gone) + 2.0 * math.sqrt(way) <= left:
-            return False
-    return True
+        closed = math.sqrt(gone) + 2.0 * math.sqrt(way) + slack
+        watched.closed[i] = _ABOVE * closed
+        enough &= closed <= watched.room[i]
+    return enough
+
+
+@njit(**INNER)
+def _search(watched, pairs, rows, before, after, elapsed, slack):
+    """Give room, and search for the pairs to watch from now on; return how many there are."""
+    reference, room, places = watched.reference, watched.room, watched.places
+    for i in range(room.size):
+        square = 0.0
+        for k in range(3):
+            reference[i, k] = rows[i, k]
+            square += (after[i, k] - before[i, k]) ** 2
+        room[i] = max(watched.least, _STEPS * math.sqrt(square)) + 2.0 * slack
+    known = pairs_about_to_touch(pairs, rows, elapsed, room, places)
+    for k in range(known):
+        p = places[k]
+        square, reach = apart(rows, pairs, p, elapsed)
+        watched.first[k], watched.second[k] = pairs.first[p], pairs.second[p]
+        watched.gap[k] = abs(math.sqrt(square) - reach)
+    return known
+
+
+@njit(**INNER)
+def _near(watched, known):
+    """Note which of the watched pairs may come into contact in a step; return how many."""
+    closed, found, near = watched.closed, watched.found, 0
+    for k in range(known):
+        found[near] = watched.places[k]
+        most = closed[watched.first[k]] + closed[watched.second[k]]
+        near += np.int64(watched.gap[k] <= most)
+    return near
 
 
 @njit(**KERNEL)
@@ -53,33 +90,33 @@ def _look(watched, known, radius, rate, pairs, rows, path, elapsed, dt, way, sla
     Also how many pairs are watched, of which ``known`` (-1: none yet) were before, and whether they
     were searched for anew. The law is no argument: contacts form in few steps.
     """
-    reference, room, places, found = watched.reference, watched.room, watched.places, watched.found
     before, after = path[:2]
-    renewed = known < 0 or not _has_room(reference, room, before, after, slack)
+    renewed = known < 0 or not _have_room(watched, before, after, slack)
     if renewed:
-        for i in range(room.size):
-            square = 0.0
-            for k in range(3):
-                reference[i, k] = rows[i, k]
-                square += (after[i, k] - before[i, k]) ** 2
-            room[i] = max(watched.least, _STEPS * math.sqrt(square)) + 2.0 * slack
-        known = pairs_about_to_touch(pairs, rows, elapsed, room, places)
-    forming = forming_pairs(
-        places[:known], pairs, radius, rate, *path, elapsed, dt, way, tolerance, found
-    )
+        known = _search(watched, pairs, rows, before, after, elapsed, slack)
+        _have_room(watched, before, after, slack)
+    found = watched.found
+    near = found[: _near(watched, known)]
+    forming = forming_pairs(near, pairs, radius, rate, *path, elapsed, dt, way, tolerance, found)
     return forming, known, renewed
 
 
 class Watched(NamedTuple):
-    """Arrays of a watch: where cells were, their room, places in the list of pairs.
+    """Arrays of a watch.
 
-    ``found`` are those that come into contact in the last step, ``least`` the least room, µm.
+    Of cells their places at the search, their room, and the part of gaps that each may have closed
+    since; of pairs their places in the list, their cells, and gaps or overlaps. ``found`` are those
+    that come into contact in the last step, ``least`` the least room, µm.
     """
 
     reference: FloatArray
     room: FloatArray
+    closed: NDArray[np.float32]
     places: NDArray[np.int64]
     found: NDArray[np.int64]
+    first: NDArray[np.uint32]
+    second: NDArray[np.uint32]
+    gap: NDArray[np.float32]
     least: float
 
 
@@ -89,11 +126,9 @@ class ContactWatch:
 
     def __init__(self, motion: Motion) -> None:
         self._motion = motion
-        room, none = np.empty(len(motion.radius)), np.empty(0, dtype=np.int64)
-        least = _LEAST * motion.largest_radius
-        self._watched = Watched(np.empty((len(room), 3)), room, none, none, least)
+        self._watched = self._for_pairs(0)
         self._pairs: PairList | None = None
-        self._since, self._known = 0.0, -1
+        self._since, self._known, self._growth = 0.0, -1, 0.0
 
     def missed_contact(
         self,
@@ -113,14 +148,18 @@ class ContactWatch:
         - ``path``, ``way``, ``tolerance``: places and velocities at both ends, and the rest, as
           :func:`.forces.forming_pairs` takes them
         """
+        cells, data, law, rows = kernel
         if self._pairs is not pairs:
             self._pairs, self._known, self._since = pairs, -1, end
-            places, found = np.empty((2, len(pairs.first)), dtype=np.int64)
-            self._watched = self._watched._replace(places=places, found=found)
+            if len(pairs.first) > len(self._watched.places):
+                self._watched = self._for_pairs(len(pairs.first))
+            self._growth = self._motion.fastest_growth
+            if data.onset is not None and data.unit is not None:
+                self._growth += 0.5 * float(np.abs(data.onset * data.unit[1]).max(initial=0.0))
         motion, dt = self._motion, end - begin
         # radii change, and gaps below the tolerance are looked at wherever cells go
-        slack = motion.fastest_growth * (abs(begin - self._since) + dt) + 0.5 * tolerance
-        (cells, data, law, rows), step = kernel, (begin - motion.begin, dt)
+        slack = self._growth * (abs(begin - self._since) + 2.0 * dt) + 0.5 * tolerance
+        step = begin - motion.begin, dt
         given = cells.radius, cells.radius_rate, data, rows, path, *step, way, slack, tolerance
         forming, self._known, renewed = _look(self._watched, self._known, *given)
         if renewed:
@@ -129,3 +168,12 @@ class ContactWatch:
             return 1.0
         found = self._watched.found[:forming]
         return float(missed_contact(cells, data, law, rows, found, *path, *step, tolerance))
+
+    def _for_pairs(self, count: int) -> Watched:
+        """Return arrays for a list of so many pairs."""
+        motion, n = self._motion, len(self._motion.radius)
+        places, found = np.empty((2, count), dtype=np.int64)
+        first, second = np.empty((2, count), dtype=np.uint32)
+        closed, gap = (np.empty(size, dtype=np.float32) for size in (n, count))
+        least, cells = _LEAST * motion.largest_radius, (np.empty((n, 3)), np.empty(n), closed)
+        return Watched(*cells, places, found, first, second, gap, least)
