@@ -13,14 +13,7 @@ from scipy.stats import qmc
 import multicell as mc
 from multicell.errors import SceneError
 from multicell.nutrient import balls
-from multicell.nutrient.balls import (
-    _boxes_of,
-    _part_within,
-    gather,
-    gather_shells,
-    scatter,
-    scatter_shells,
-)
+from multicell.nutrient.balls import OnShells, _boxes_of, _part_within, gather, scatter
 from multicell.nutrient.cartesian import Box
 from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.grid import BoxLayout, ShellLayout, tissue_share
@@ -118,10 +111,11 @@ def test_shells_keep_amounts_and_read_what_they_spread():
     away, radius = rng.uniform(0.0, 60.0, 200), rng.uniform(0.0, 12.0, 200)
     away[:2], radius[2:9] = (0.0, 60.0), 0.0
     amount, values = rng.uniform(0.5, 2.0, 200), rng.random(15)
-    total = scatter_shells(15, 4.0, away, amount, radius)
+    cells = OnShells.at(15, 4.0, away, radius)
+    total = cells.scatter(amount)
     assert total.min() >= 0.0
     assert total.sum() == pytest.approx(amount.sum(), rel=1e-13)
-    read = gather_shells(values, values[-1], 4.0, away, radius)
+    read = cells.gather(values, values[-1])
     assert total @ values == pytest.approx(amount @ read, rel=1e-12)
     # evenly filled space has an even density, in the innermost shell too
     layout = ShellLayout(np.zeros(3), 2.0, 20)
