@@ -75,7 +75,8 @@ class FieldGroup:
         self.first = next(iter(self.fields.values()))
         self._made_for: tuple[FieldParameters, ...] = ()
         self._made_at: tuple[Any, ...] = (None, None, None)
-        self._may_stay = self._kept = False
+        self._tissue: Tissue | None = None  # round which the layout lies
+        self._may_stay = False
         self._solver: Any = None  # of the last solve
         self.info: dict[str, Any] = {}
         self.watch: Callable[[float, FloatArray], None] | None = None
@@ -148,11 +149,13 @@ class FieldGroup:
     def begin(self, tissue: Tissue, demand: Demand, time: float, *, carry: bool) -> None:
         """Lay the grid round the cells, and take over values; amounts stay where they ``carry``."""
         fields = self.fields.values()
-        # what finds no medium beyond its own sides must have all cells on the grid they share
-        strays = all(f.parameters.open_medium for f in fields)
-        self.layout, self._kept, self.position = self.first.lay(tissue, strays=strays)
-        self.radius = tissue.once(reaching, tissue.position, self.position, tissue.extent)
-        self.layout.keep(self.position, self.radius)
+        if tissue is not self._tissue:
+            # what finds no medium beyond its own sides must have all cells on the grid they share
+            strays = all(f.parameters.open_medium for f in fields)
+            self.layout, self.position = self.first.lay(tissue, strays=strays)
+            self.radius = tissue.once(reaching, tissue.position, self.position, tissue.extent)
+            self.layout.keep(self.position, self.radius)
+            self._tissue = tissue
         self._set_equation(tissue, demand, self.first.exchange(self.layout, tissue))
         self.nodes = np.array([self._first(f, time, carry) for f in fields])
         self.state = self.equation.view(self.nodes)
@@ -175,7 +178,7 @@ class FieldGroup:
         level = field.level(time)
         if not field.laid:
             return self.layout.filled(level)
-        if self._kept:
+        if field.layout == self.layout:
             return field.values
         take = self.layout.carried if carry else self.layout.guess
         # on shells what is carried are differences of contents, which rounding may leave below
