@@ -126,6 +126,35 @@ def test_shells_keep_amounts_and_read_what_they_spread():
     np.testing.assert_allclose(density[:14], 1.0, atol=0.02)
 
 
+@pytest.mark.parametrize("kind", ["box", "plane", "shells"])
+def test_cells_that_are_kept_have_the_bits_of_others(kind):
+    def new():
+        if kind == "shells":
+            return ShellLayout(np.zeros(3), 2.0, 20)
+        height = 2.0 if kind == "plane" else None
+        low, count = (-20.0, -20.0, -1.0 if height else -20.0), (20, 20, 1 if height else 20)
+        return BoxLayout(Box(low, count, 2.0, height))
+
+    rng = np.random.default_rng(8)
+    position, radius, amount = rng.uniform(-9.0, 9.0, (50, 3)), rng.random(50), rng.random(50)
+    values = rng.random(new().shape)
+    value = {"value": 0.1}
+    sides = value if kind == "shells" else {a + b: value for a in "xyz" for b in "-+"}
+    layout = new()
+    layout.keep(position, radius)
+    layout.keep(position, radius)
+    # neither another place nor another radius is theirs
+    for place, size in ((position, radius), (position + 1.0, radius), (position, 2.0 * radius),
+                        (position, None), (position.copy(), radius.copy())):  # fmt: skip
+        for found, alone in (
+            (layout.scatter(place, amount, size), new().scatter(place, amount, size)),
+            (layout.gather(place, values, size), new().gather(place, values, size)),
+            (layout.read(place, values, sides, size), new().read(place, values, sides, size)),
+            (layout.nearest(3.0 * place), new().nearest(3.0 * place)),
+        ):
+            np.testing.assert_array_equal(found, alone)
+
+
 @pytest.mark.parametrize("bad", [-1.0, np.nan, np.inf])
 def test_radii_that_are_none_are_refused(bad):
     with pytest.raises(ValueError, match="radius"):
