@@ -27,6 +27,8 @@ def kind_of(value: Any) -> Any:
     Numba's own ``typeof`` takes a quarter of a millisecond for the tuples that loops are given.
     """
     kind = type(value)
+    if kind is float or kind is int or value is None:
+        return kind
     if kind is np.ndarray or isinstance(value, np.ndarray):
         return value.dtype.char, value.ndim, value.flags.num & ~_OWNED
     if isinstance(value, tuple):

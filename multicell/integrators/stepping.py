@@ -256,7 +256,8 @@ def with_addresses(
     - ``watched``: whether it looks for contacts that its steps miss
     """
     repairs = len(source.reach) >= updating.REPAIR_FROM
-    key = kind_of((source, pairs, law)), shared, passes, parts, watched, repairs
+    # the rest of a source is of one kind: counts and addresses
+    key = kind_of((source[:5], pairs, law)), shared, passes, parts, watched, repairs
     if key not in _PLACES:
         used = stepping_kernels(source, pairs, law, shared=shared, passes=passes)
         if parts:

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from llvmlite import ir
@@ -430,6 +430,9 @@ def _shared(
     return np.unique(np.concatenate(left))
 
 
+Placed = tuple[FloatArray, Any, Any]
+"""Positions on a grid, that, and the balls as the kernels take them."""
+
 _NOTHING = np.empty(0)
 _NOTHING.flags.writeable = False
 
@@ -440,6 +443,7 @@ def scatter(
     amount: FloatArray,
     radius: FloatArray | None = None,
     threads: int = 1,
+    known: Placed | None = None,
 ) -> FloatArray:
     """Spread an amount of each cell, (n,), over the nodes as a density, amount per µm³.
 
@@ -447,8 +451,9 @@ def scatter(
 
     - ``position``, (n, 3), and ``radius``, (n,), µm; absent: points
     - ``threads``: how many may share the work; it changes no result
+    - ``known``: the same cells as :func:`placed` has found them
     """
-    points, grid, balls = _placed(box, position, radius)
+    points, grid, balls = known or placed(box, position, radius)
     amounts = _numbers(amount, len(points), "amount")
     out = np.zeros(box.shape)
     density = out.reshape(-1)
@@ -463,12 +468,13 @@ def gather(
     values: FloatArray,
     radius: FloatArray | None = None,
     threads: int = 1,
+    known: Placed | None = None,
 ) -> FloatArray:
     """Return the means of node values (nx, ny, nz) over the cells, (n,).
 
     They are never outside the range of the nodes at a cell; arguments as for :func:`scatter`.
     """
-    return gathered(box, position, values, radius, threads)[0]
+    return gathered(box, position, values, radius, threads, known)[0]
 
 
 def gathered(
@@ -477,9 +483,10 @@ def gathered(
     values: FloatArray,
     radius: FloatArray | None = None,
     threads: int = 1,
+    known: Placed | None = None,
 ) -> tuple[FloatArray, bool]:
     """Do the same; return also whether any cell is beyond the last nodes."""
-    points, grid, balls = _placed(box, position, radius)
+    points, grid, balls = known or placed(box, position, radius)
     if values.shape != box.shape:
         raise ValueError(f"values has shape {values.shape}, expected {box.shape}")
     out, given = np.empty(len(points)), np.ascontiguousarray(values).reshape(-1)
@@ -488,7 +495,7 @@ def gathered(
     return out, sides or (ends and box.height is None)
 
 
-def _placed(box: Box, position: FloatArray, radius: FloatArray | None) -> tuple[Any, Any, Any]:
+def placed(box: Box, position: FloatArray, radius: FloatArray | None) -> Placed:
     """Return positions on the grid, that, and the balls as the kernel takes them."""
     points = np.ascontiguousarray(position, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
@@ -533,14 +540,11 @@ def _part_within(rho, away, radius):
 
 
 @njit(**KERNEL)
-def _transfer_shells(distance, radius, amount, values, total, out, spacing):
-    """Spread amounts of cells over shells, or, if ``total`` has none, read ``values``.
+def _weigh(distance, radius, n, spacing, ends, weights):
+    """Write the first of ``n`` shells of each cell, the one beyond its last, and their weights.
 
-    The last entry of both belongs to one more shell. Return the first cell outside, or -1.
+    Shell ``n`` is what lies beyond. Return the first cell outside, or -1.
     """
-    spread = total.size > 0
-    n = max(total.size, values.size) - 1
-    weights = np.empty(n + 1)
     for cell in range(distance.size):
         away, size = distance[cell] / spacing, radius[cell] / spacing
         if not away <= n * (1.0 + 1e-12):  # nor is what is no number
@@ -549,65 +553,81 @@ def _transfer_shells(distance, radius, amount, values, total, out, spacing):
             lower = int(np.floor(away - 0.5))
             upper = away - 0.5 - lower
             first, end = max(lower, 0), lower + 2
-            weights[first], weights[lower + 1] = 1.0 - upper, 1.0 if lower < 0 else upper
+            weights[cell, 0], weights[cell, lower + 1 - first] = 1.0 - upper, upper
+            if lower < 0:
+                weights[cell, 0] = 1.0
         else:
             wide, before = np.sqrt(size * size + 0.5), 0.0
             first = end = max(int(away - wide), 0)
             while end < n and before < 1.0:
                 after = _part_within(end + 1.0, away, wide)
-                weights[end] = max(after - before, 0.0)
+                weights[cell, end - first] = max(after - before, 0.0)
                 before, end = after, end + 1
             if before < 1.0:  # outside there is what is on the surface
-                weights[n - 1] += 0.5 * (1.0 - before)
-                weights[n], end = 0.5 * (1.0 - before), n + 1
-        found = 0.0
-        for shell in range(first, end):
-            if spread:
-                total[shell] += amount[cell] * weights[shell]
-            else:
-                found += weights[shell] * values[shell]
-        if not spread:
-            out[cell] = found
+                weights[cell, n - 1 - first] += 0.5 * (1.0 - before)
+                weights[cell, n - first], end = 0.5 * (1.0 - before), n + 1
+        ends[cell, 0], ends[cell, 1] = first, end
     return -1
 
 
-def scatter_shells(
-    shells: int,
-    spacing: float,
-    distance: FloatArray,
-    amount: FloatArray,
-    radius: FloatArray | None = None,
-) -> FloatArray:
-    """Spread an amount of each cell, (n,), over shells, (shells,): what lies beyond on the last.
+@njit(**KERNEL)
+def _transfer_shells(ends, weights, amount, values, total, out):
+    """Spread amounts of cells over shells, or, if ``total`` has none, read ``values``."""
+    spread = total.size > 0
+    for cell in range(len(ends)):
+        first, found = ends[cell, 0], 0.0
+        for shell in range(first, ends[cell, 1]):
+            if spread:
+                total[shell] += amount[cell] * weights[cell, shell - first]
+            else:
+                found += weights[cell, shell - first] * values[shell]
+        if not spread:
+            out[cell] = found
 
-    - ``distance``, (n,), and ``radius``, (n,), µm: from the centre of the shells; and of the cells,
-      absent: points
+
+@final
+class OnShells(NamedTuple):
+    """Cells on shells: by what weights they reach them, for all that they spread and read.
+
+    - ``count``: of the shells, beside one more for what lies beyond
+    - ``distance``, (n,) µm: from the centre
+    - ``ends``, (n, 2): first shell that a cell reaches, and the one after the last
+    - ``weights``, (n, m): of these
     """
-    total, away = np.zeros(shells + 1), np.ascontiguousarray(distance)
-    amounts, radii = _numbers(amount, len(away), "amount"), _radii(radius, len(away))
-    _least_and_most(radii)
-    if _transfer_shells(away, radii, amounts, _NOTHING, total, total, spacing) >= 0:
-        raise ValueError("a position lies outside the nutrient grid")
-    total[-2] += total[-1]
-    return total[:-1]
 
+    count: int
+    distance: FloatArray
+    ends: NDArray[np.int64]
+    weights: FloatArray
 
-def gather_shells(
-    values: FloatArray,
-    beyond: float,
-    spacing: float,
-    distance: FloatArray,
-    radius: FloatArray | None = None,
-) -> FloatArray:
-    """Return the means of values of shells over the cells, (n,); see :func:`scatter_shells`.
+    @classmethod
+    def at(
+        cls, count: int, spacing: float, distance: FloatArray, radius: FloatArray | None = None
+    ) -> OnShells:
+        """Weigh cells at distances (n,) from the centre, with radii (n,) in µm; absent: points."""
+        away = np.ascontiguousarray(distance)
+        radii = _radii(radius, len(away))
+        _, widest = _least_and_most(radii)
+        ends = np.empty((len(away), 2), dtype=np.int64)
+        weights = np.empty((len(away), int(2.0 * math.hypot(widest / spacing, 0.75)) + 4))
+        if _weigh(away, radii, count, spacing, ends, weights) >= 0:
+            raise ValueError("a position lies outside the nutrient grid")
+        return cls(count, away, ends, weights)
 
-    - ``beyond``: of one more shell. Outside the surface cells find what is on it, the mean of the
-      last two.
-    """
-    known, away = np.append(values, beyond), np.ascontiguousarray(distance)
-    known.flags.writeable = False
-    out, radii = np.empty(len(away)), _radii(radius, len(away))
-    _least_and_most(radii)
-    if _transfer_shells(away, radii, out, known, np.empty(0), out, spacing) >= 0:
-        raise ValueError("a position lies outside the nutrient grid")
-    return out
+    def scatter(self, amount: FloatArray) -> FloatArray:
+        """Spread an amount of each cell, (n,), over the shells: what lies beyond on the last."""
+        total, amounts = np.zeros(self.count + 1), _numbers(amount, len(self.ends), "amount")
+        _transfer_shells(self.ends, self.weights, amounts, _NOTHING, total, total)
+        total[-2] += total[-1]
+        return total[:-1]
+
+    def gather(self, values: FloatArray, beyond: float) -> FloatArray:
+        """Return the means of values of shells over the cells, (n,).
+
+        - ``beyond``: of one more shell. Outside the surface cells find what is on it, the mean of
+          the last two.
+        """
+        known, out = np.append(values, beyond), np.empty(len(self.ends))
+        known.flags.writeable = False
+        _transfer_shells(self.ends, self.weights, out, known, np.empty(0), out)
+        return out

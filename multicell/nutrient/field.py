@@ -153,6 +153,15 @@ class NutrientField:
         """
         return self.read(*self._reached(position, radius))
 
+    def sample_tissue(self, cells: Tissue) -> FloatArray:
+        """Do the same for cells that several fields read."""
+        reached = cells.position
+        if self.parameters.open_medium:
+            reached = cells.once(self.layout.nearest, reached)
+        radius = cells.once(reaching, cells.position, reached, cells.extent)
+        self.layout.keep(reached, radius)
+        return self.read(reached, radius)
+
     def read(self, reached: FloatArray, radius: FloatArray | None = None) -> FloatArray:
         """Do the same at positions on the grid, where cells reach it."""
         return self.layout.read(reached, self.values, self._conditions, radius)
@@ -250,10 +259,10 @@ class NutrientField:
         reached = self.layout.nearest(position)
         return reached, None if radius is None else reaching(position, reached, radius)
 
-    def lay(self, cells: Tissue, *, strays: bool = True) -> tuple[Layout, bool, FloatArray]:
-        """Return the layout round the tissue, whether it is the last one, and where cells reach it.
+    def lay(self, cells: Tissue, *, strays: bool = True) -> tuple[Layout, FloatArray]:
+        """Return the layout round the tissue, the last one if it is the same, and where cells are.
 
-        Without ``strays`` every cell is tissue.
+        That is where on the grid they exchange with it. Without ``strays`` every cell is tissue.
         """
         p, position, radius = self.parameters, cells.position, cells.radius
         tissue, strays = position, strays and p.open_medium
@@ -269,7 +278,7 @@ class NutrientField:
             widths = p.nutrient.margin, p.spacing, p.nutrient.layer, p.follows_tissue
             shells = cells.once(ShellLayout.round, tissue, radius, *widths)
             outside = tissue is not position
-            return shells, False, cells.once(shells.nearest, position) if outside else position
+            return shells, cells.once(shells.nearest, position) if outside else position
         height = p.height if p.dimensions == 2 else None
         if p.domain is None:
             margin = p.nutrient.margin
@@ -282,7 +291,7 @@ class NutrientField:
             found = BoxLayout.within(p.domain, p.spacing, height, self.threads)
         same = self._layout is not None and found == self._layout
         reached = position if tissue is position else found.nearest(position)
-        return (self.layout, True, reached) if same else (found, False, reached)
+        return self.layout if same else found, reached
 
     def exchange(self, layout: Layout, cells: Tissue) -> FloatArray | None:
         """Return the rates of exchange with the medium by which the layer round the tissue ends.

@@ -307,7 +307,7 @@ class FieldSystem:
         self.time, self._ahead = end, ahead or {}
         tissue = Tissue(cells.position, cells.radius)
         for names in self._circles.values():  # as the fields of the last step have them
-            found = {x: self.fields[x].sample(cells.position, cells.radius) for x in names}
+            found = {x: self.fields[x].sample_tissue(tissue) for x in names}
             self.concentrations = {**self.concentrations, **found}
         # asked for only where networks exchange with fields
         whole = None if self._fluxes is None else np.broadcast_to(until, len(cells)) == 1.0

@@ -10,7 +10,8 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from dataclasses import field as part_of_data
-from typing import TYPE_CHECKING, Any, final
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, cast, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,9 @@ class BoxLayout:
 
     box: Box
     threads: int = part_of_data(default=1, compare=False)
+    _known: dict[str, Any] = part_of_data(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
     kind = "box"
 
     @classmethod
@@ -116,12 +120,22 @@ class BoxLayout:
             found[:, axis] = np.where((x >= low) & (x <= high), x, clipped)
         return found
 
+    def keep(self, position: FloatArray, radius: FloatArray) -> None:
+        """Place cells once, in arrays that nobody will write to, for all that comes with these."""
+        if not self._repeats and self._at(position, radius) is None:
+            self._known["cells"] = position, radius, balls.placed(self.box, position, radius)
+
+    def _at(self, position: FloatArray, radius: FloatArray | None) -> balls.Placed | None:
+        where, width, found = self._known.get("cells", (None, None, None))
+        return found if where is position and width is radius else None
+
     def scatter(
         self, position: FloatArray, amount: FloatArray, radius: FloatArray | None = None
     ) -> FloatArray:
         """Spread amounts of the cells, (n,), over the nodes as densities; absent radii: points."""
         if not self._repeats:
-            return balls.scatter(self.box, position, amount, radius, self.threads)
+            known = self._at(position, radius)
+            return balls.scatter(self.box, position, amount, radius, self.threads, known)
         wider, layers = self._unrolled(self._reach(radius))
         density = balls.scatter(wider.box, self._inside(position), amount, radius, self.threads)
         for axis, more in enumerate(layers):
@@ -139,7 +153,8 @@ class BoxLayout:
         if self._repeats:
             wider, layers = self._unrolled(self._reach(radius))
             return wider.gather(self._inside(position), _wrapped(values, layers), radius)
-        return balls.gather(self.box, position, values, radius, self.threads)
+        known = self._at(position, radius)
+        return balls.gather(self.box, position, values, radius, self.threads, known)
 
     def read(
         self,
@@ -153,7 +168,8 @@ class BoxLayout:
             wider, ends = self._unrolled(self._reach(radius))
             unrolled = _wrapped(values, ends)
             return wider.read(self._inside(position), unrolled, conditions, radius)
-        found, some = balls.gathered(self.box, position, values, radius, self.threads)
+        known = self._at(position, radius)
+        found, some = balls.gathered(self.box, position, values, radius, self.threads, known)
         if some:
             widest = 0.0 if radius is None else float(radius.max()) / self.spacing
             near, layers = self._nearer_than(widest + 0.5, position), math.ceil(widest + 0.5)
@@ -319,6 +335,7 @@ class ShellLayout:
     centre: FloatArray
     spacing: float
     count: int
+    _known: dict[str, Any] = part_of_data(default_factory=dict, init=False, repr=False)
     kind = "radial"
 
     @classmethod
@@ -379,12 +396,12 @@ class ShellLayout:
         """Shape of an array of the shells."""
         return (self.count,)
 
-    @property
+    @cached_property
     def volumes(self) -> FloatArray:
         """Volumes of the shells, µm³."""
         return SPHERE * np.diff(np.linspace(0.0, self.radius, self.count + 1) ** 3)
 
-    @property
+    @cached_property
     def whole(self) -> float:
         """Volume of the ball, µm³."""
         return float(np.sum(self.volumes))
@@ -400,20 +417,27 @@ class ShellLayout:
         found[outside] = self.centre + part * (position[outside] - self.centre)
         return found
 
+    def keep(self, position: FloatArray, radius: FloatArray) -> None:
+        """Weigh cells once, in arrays that nobody will write to, for all that comes with these."""
+        self._known["cells"] = position, radius, self._cells(position, radius)
+
+    def _cells(self, position: FloatArray, radius: FloatArray | None) -> balls.OnShells:
+        where, width, found = self._known.get("cells", (None, None, None))
+        if where is position and width is radius:
+            return cast("balls.OnShells", found)
+        return balls.OnShells.at(self.count, self.spacing, self._distance(position), radius)
+
     def scatter(
         self, position: FloatArray, amount: FloatArray, radius: FloatArray | None = None
     ) -> FloatArray:
         """Spread amounts of the cells, (n,), over the shells as densities; see the box's."""
-        distance = self._distance(position)
-        total = balls.scatter_shells(self.count, self.spacing, distance, amount, radius)
-        return np.asarray(total / self.volumes)
+        return np.asarray(self._cells(position, radius).scatter(amount) / self.volumes)
 
     def gather(
         self, position: FloatArray, values: FloatArray, radius: FloatArray | None = None
     ) -> FloatArray:
         """Return the means over cells at positions (n, 3) in µm, or what is there at points."""
-        last, away = float(values[-1]), self._distance(position)
-        return balls.gather_shells(values, last, self.spacing, away, radius)
+        return self._cells(position, radius).gather(values, float(values[-1]))
 
     def read(
         self,
@@ -424,8 +448,7 @@ class ShellLayout:
     ) -> FloatArray:
         """Do the same, but beyond the last node by the condition on the surface."""
         const, factor = faces.ghost_terms(conditions, self.spacing)
-        beyond = const + factor * float(values[-1])
-        return balls.gather_shells(values, beyond, self.spacing, self._distance(position), radius)
+        return self._cells(position, radius).gather(values, const + factor * float(values[-1]))
 
     def gradient(self, position: FloatArray, values: FloatArray) -> FloatArray:
         """Return the gradient at positions (n, 3) in µm: differences over one spacing.
@@ -444,7 +467,8 @@ class ShellLayout:
         return np.asarray(((ahead - behind) / h)[:, None] * outward)
 
     def _distance(self, position: FloatArray) -> FloatArray:
-        return lengths(position - self.centre)
+        where, _, found = self._known.get("cells", (None, None, None))
+        return found.distance if where is position else lengths(position - self.centre)
 
     def filled(self, value: float) -> FloatArray:
         """Return an array of the nodes."""
@@ -499,15 +523,12 @@ Layout = BoxLayout | ShellLayout
 """Nodes in space."""
 
 
-def relative_diffusion(
-    layout: Layout, position: FloatArray, radius: FloatArray, medium: float, tissue: float
-) -> FloatArray:
+def relative_diffusion(share: FloatArray, medium: float, tissue: float) -> FloatArray:
     """Return the coefficient of diffusion at the nodes over that of tissue.
 
-    A node is tissue where cells fill half of its surroundings or more (:func:`tissue_share`); up to
-    there the coefficient goes over linearly from that of the medium.
+    A node is tissue where cells fill half of its surroundings or more (:func:`tissue_share`, its
+    ``share``); up to there the coefficient goes over linearly from that of the medium.
     """
-    share = tissue_share(layout, position, radius)
     return np.asarray((medium + (tissue - medium) * share) / tissue)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from operator import is_
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -73,7 +74,9 @@ class FieldGroup:
         self.names = list(fields)
         self.first = next(iter(self.fields.values()))
         self._made_for: tuple[FieldParameters, ...] = ()
-        self._may_stay = self._kept = False
+        self._made_at: tuple[Any, ...] = (None, None, None)
+        self._tissue: Tissue | None = None  # round which the layout lies
+        self._may_stay = False
         self._solver: Any = None  # of the last solve
         self.info: dict[str, Any] = {}
         self.watch: Callable[[float, FloatArray], None] | None = None
@@ -146,11 +149,14 @@ class FieldGroup:
     def begin(self, tissue: Tissue, demand: Demand, time: float, *, carry: bool) -> None:
         """Lay the grid round the cells, and take over values; amounts stay where they ``carry``."""
         fields = self.fields.values()
-        # what finds no medium beyond its own sides must have all cells on the grid they share
-        strays = all(f.parameters.open_medium for f in fields)
-        self.layout, self._kept, self.position = self.first.lay(tissue, strays=strays)
-        self.radius = reaching(tissue.position, self.position, tissue.extent)
-        self._set_equation(tissue.radius, demand, self.first.exchange(self.layout, tissue))
+        if tissue is not self._tissue:
+            # what finds no medium beyond its own sides must have all cells on the grid they share
+            strays = all(f.parameters.open_medium for f in fields)
+            self.layout, self.position = self.first.lay(tissue, strays=strays)
+            self.radius = tissue.once(reaching, tissue.position, self.position, tissue.extent)
+            self.layout.keep(self.position, self.radius)
+            self._tissue = tissue
+        self._set_equation(tissue, demand, self.first.exchange(self.layout, tissue))
         self.nodes = np.array([self._first(f, time, carry) for f in fields])
         self.state = self.equation.view(self.nodes)
 
@@ -172,7 +178,7 @@ class FieldGroup:
         level = field.level(time)
         if not field.laid:
             return self.layout.filled(level)
-        if self._kept:
+        if field.layout == self.layout:
             return field.values
         take = self.layout.carried if carry else self.layout.guess
         # on shells what is carried are differences of contents, which rounding may leave below
@@ -260,19 +266,22 @@ class FieldGroup:
         rows = zip(self.names, amounts, relaid.tolist(), strict=True)
         return {name: self._exchange(row, relaid=more) for name, row, more in rows}
 
-    def _set_equation(
-        self, radius: FloatArray, demand: Demand, exchange: FloatArray | None
-    ) -> None:
+    def _set_equation(self, tissue: Tissue, demand: Demand, exchange: FloatArray | None) -> None:
         """Make the equation on the layout with the cells there; the last one stays if it holds.
 
-        A layout of the same kind that follows the tissue leaves what it is made of as it was.
+        A layout of the same kind that follows the tissue leaves what it is made of as it was, and
+        so does all that differs from place to place where neither grid nor cells have moved.
         """
         layout, position = self.layout, self.position
         fields = self.fields.values()
-        tissue = self.kinetics is not None and self.kinetics.needs_tissue
+        shares = self.kinetics is not None and self.kinetics.needs_tissue
         made_for = tuple(f.parameters for f in fields)
-        holds = self._may_stay and self._made_for == made_for and not tissue
-        if holds and self.equation.layout.kind == layout.kind:
+        here, before = (layout, position, tissue.radius), self._made_at
+        self._made_at = here
+        holds = all(map(is_, here, before)) or (
+            self._may_stay and not shares and self.equation.layout.kind == layout.kind
+        )
+        if holds and self._made_for == made_for:
             for f in fields:
                 if f.well_mixed is not None:
                     self.equation.substances[f.name].follow(f.well_mixed.concentration)
@@ -280,10 +289,11 @@ class FieldGroup:
             return
         substances = {
             f.name: substance(
-                f.parameters, layout, position, radius, demand[f.name], f.schedule, exchange
+                f.parameters, layout, position, tissue, demand[f.name], f.schedule, exchange
             )
             for f in fields
         }
+        radius = tissue.radius
         self.equation = FieldEquation(
             None,
             substances,
@@ -291,7 +301,7 @@ class FieldGroup:
             radius=self.radius,
             layout=layout,
             reactions=self.kinetics,
-            tissue=tissue_share(layout, position, radius) if tissue else None,
+            tissue=tissue.once(tissue_share, layout, position, radius) if shares else None,
             threads=self.first.threads,
         )
         self._made_for = made_for
@@ -303,12 +313,12 @@ def substance(
     parameters: FieldParameters,
     layout: Layout,
     position: FloatArray,
-    radius: FloatArray,
+    cells: Tissue,
     demand: tuple[FloatArray, FloatArray | None],
     medium: float | Schedule,
     exchange: FloatArray | None,
 ) -> Substance:
-    """Return a field of a scene as a substance on a grid, with cells of these radii in µm.
+    """Return a field of a scene as a substance on a grid that cells reach at these positions.
 
     - ``exchange``: with the medium, see :meth:`multicell.nutrient.field.NutrientField.exchange`
     """
@@ -319,7 +329,8 @@ def substance(
 
     medium_diffusion, varied = nutrient.diffusion_medium, None
     if medium_diffusion is not None and medium_diffusion != nutrient.diffusion:
-        varied = relative_diffusion(layout, position, radius, medium_diffusion, nutrient.diffusion)
+        share = cells.once(tissue_share, layout, position, cells.radius)
+        varied = relative_diffusion(share, medium_diffusion, nutrient.diffusion)
     capacity, production = demand
     return Substance(
         nutrient.diffusion,

@@ -87,13 +87,13 @@ def field_problem(
     position = layout.nearest(cells.position)  # strays exchange with the surface of the grid
     system = FieldSystem(scene)
     taken = _taken(system, scene, frame)
-    substances = {}
+    substances, tissue = {}, Tissue(cells.position, cells.radius)
     for name in names:
         parameters = FieldParameters.of(scene, name)
         medium = _medium(parameters, frame, name)
         demand = system.demand(name, cells, frame.concentrations, taken)
-        exchange = system.fields[name].exchange(layout, Tissue(cells.position, cells.radius))
-        about = layout, position, cells.radius, demand, medium, exchange
+        exchange = system.fields[name].exchange(layout, tissue)
+        about = layout, position, tissue, demand, medium, exchange
         substances[name] = substance(parameters, *about)
     equation = FieldEquation(
         together.grid,

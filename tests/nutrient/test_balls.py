@@ -13,14 +13,7 @@ from scipy.stats import qmc
 import multicell as mc
 from multicell.errors import SceneError
 from multicell.nutrient import balls
-from multicell.nutrient.balls import (
-    _boxes_of,
-    _part_within,
-    gather,
-    gather_shells,
-    scatter,
-    scatter_shells,
-)
+from multicell.nutrient.balls import OnShells, _boxes_of, _part_within, gather, scatter
 from multicell.nutrient.cartesian import Box
 from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.grid import BoxLayout, ShellLayout, tissue_share
@@ -118,10 +111,11 @@ def test_shells_keep_amounts_and_read_what_they_spread():
     away, radius = rng.uniform(0.0, 60.0, 200), rng.uniform(0.0, 12.0, 200)
     away[:2], radius[2:9] = (0.0, 60.0), 0.0
     amount, values = rng.uniform(0.5, 2.0, 200), rng.random(15)
-    total = scatter_shells(15, 4.0, away, amount, radius)
+    cells = OnShells.at(15, 4.0, away, radius)
+    total = cells.scatter(amount)
     assert total.min() >= 0.0
     assert total.sum() == pytest.approx(amount.sum(), rel=1e-13)
-    read = gather_shells(values, values[-1], 4.0, away, radius)
+    read = cells.gather(values, values[-1])
     assert total @ values == pytest.approx(amount @ read, rel=1e-12)
     # evenly filled space has an even density, in the innermost shell too
     layout = ShellLayout(np.zeros(3), 2.0, 20)
@@ -130,6 +124,35 @@ def test_shells_keep_amounts_and_read_what_they_spread():
     places = places[np.linalg.norm(places, axis=1) < 38.0]
     density = layout.scatter(places, np.full(len(places), 8.0), np.full(len(places), 5.0))
     np.testing.assert_allclose(density[:14], 1.0, atol=0.02)
+
+
+@pytest.mark.parametrize("kind", ["box", "plane", "shells"])
+def test_cells_that_are_kept_have_the_bits_of_others(kind):
+    def new():
+        if kind == "shells":
+            return ShellLayout(np.zeros(3), 2.0, 20)
+        height = 2.0 if kind == "plane" else None
+        low, count = (-20.0, -20.0, -1.0 if height else -20.0), (20, 20, 1 if height else 20)
+        return BoxLayout(Box(low, count, 2.0, height))
+
+    rng = np.random.default_rng(8)
+    position, radius, amount = rng.uniform(-9.0, 9.0, (50, 3)), rng.random(50), rng.random(50)
+    values = rng.random(new().shape)
+    value = {"value": 0.1}
+    sides = value if kind == "shells" else {a + b: value for a in "xyz" for b in "-+"}
+    layout = new()
+    layout.keep(position, radius)
+    layout.keep(position, radius)
+    # neither another place nor another radius is theirs
+    for place, size in ((position, radius), (position + 1.0, radius), (position, 2.0 * radius),
+                        (position, None), (position.copy(), radius.copy())):  # fmt: skip
+        for found, alone in (
+            (layout.scatter(place, amount, size), new().scatter(place, amount, size)),
+            (layout.gather(place, values, size), new().gather(place, values, size)),
+            (layout.read(place, values, sides, size), new().read(place, values, sides, size)),
+            (layout.nearest(3.0 * place), new().nearest(3.0 * place)),
+        ):
+            np.testing.assert_array_equal(found, alone)
 
 
 @pytest.mark.parametrize("bad", [-1.0, np.nan, np.inf])

@@ -8,11 +8,13 @@ from running import refused
 from scipy import integrate
 
 import multicell as mc
+from multicell.nutrient.balls import OnShells
 from multicell.nutrient.cartesian import departure, round_enough
 from multicell.nutrient.field import NutrientField
 from multicell.nutrient.fitness import discretisation_error
 from multicell.nutrient.grid import BoxLayout, ShellLayout, restored
 from multicell.nutrient.parameters import FieldParameters
+from multicell.nutrient.spherical import Shells
 from multicell.scene.scales import largest_spacing, regime
 from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
@@ -322,3 +324,16 @@ def test_wrong_input_is_named(changes, path, words):
 def test_a_plane_has_neither_depth_nor_shells(key, value):
     with refused(f"nutrients.oxygen.{key}", "2 dimensions"):
         scene().with_changes({"dimensions": 2, f"nutrients.oxygen.{key}": value})
+
+
+def test_fields_that_depend_on_each_other_weigh_cells_once_a_step(monkeypatch):
+    run = mc.Simulation(mc.load_scene("emt6").with_changes({"initial.count": 30}))
+    weighed, solved = [], []
+    weigh, solve = OnShells.at, Shells.solve
+    monkeypatch.setattr(OnShells, "at", lambda *given: weighed.append(1) or weigh(*given))
+    monkeypatch.setattr(
+        Shells, "solve", lambda *given, **more: solved.append(1) or solve(*given, **more)
+    )
+    run.step()
+    assert len(solved) >= 7  # three fields, and two turns of two of them or more
+    assert len(weighed) == 3  # on the last grid and on the next, and as tissue there
