@@ -52,8 +52,8 @@ FINEST = 1e-4
 
 _ARRAYS = 8  # of the nodes of a level
 _SPARE = 1.2
-"""Memory that is taken over what is needed: a grid that grows with its tissue then fits in it. What
-is not written to is not there. To get new memory of the system takes as long as a solve."""
+"""Memory taken over what is needed: a grid that grows with its tissue then fits in it. Pages that
+nobody writes to cost nothing, and new ones of the system take as long as a solve."""
 
 _MIDDLE, _HALF = 7.0 / 6.0, 5.0 / 6.0  # of the spectrum that the smoother damps: 1/3 to 2
 _SMOOTHER = tuple(
@@ -150,7 +150,7 @@ class Hierarchy:
     - ``ghost``, (6,): factors of the ghost values; see :mod:`multicell.nutrient.stencil`
     - ``team``: threads that share the loops; they do not change the result
     - ``varied``, (nx, ny, nz), optional: relative coefficient of diffusion at the nodes
-    - ``room``, (any,), optional: memory to work in, if it is enough; ``room`` is what it has
+    - ``room``, (any,), optional: memory to work in, if it is enough; ``room`` is then the same
     """
 
     def __init__(
