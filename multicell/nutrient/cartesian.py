@@ -10,13 +10,20 @@ from typing import final
 
 import numpy as np
 
-from multicell.cells import FloatArray
+from multicell.cells import FloatArray, IntArray
+from multicell.compiling.threads import Team
 from multicell.errors import NutrientFailed
 from multicell.scene.domain import filling
 from multicell.scene.scales import MAX_NODES
 from multicell.vectors import corners, cubes, second_moments, weighted_mean
 
 _FARTHEST = 1e9  # spacings from the origin; beyond, rounding would eat into the grid's spacing
+
+_NEAR_NODES = 50_000
+"""Nodes that are interpolated at once: what is between is then still in the nearer memory."""
+
+_PART = 100_000
+"""Least number of nodes for each thread that shares them."""
 
 _NEARLY = 0.75  # an axis longer than this part of the longest gets as many nodes
 
@@ -165,21 +172,48 @@ def covered_fractions(old: Box, new: Box) -> list[FloatArray]:
     return found
 
 
-def moved(values: FloatArray, old: Box, new: Box, fill: float) -> FloatArray:
-    """Return node values on ``new``, interpolated from ``old`` and ``fill`` outside it."""
-    nodes, inside = new.axes(), []
-    for k in (2, 1, 0):
-        there = (nodes[k] >= old.origin[k]) & (nodes[k] <= old.upper[k])
-        u = (nodes[k][there] - old.origin[k]) / old.spacing - 0.5
+def moved(values: FloatArray, old: Box, new: Box, fill: float, threads: int = 1) -> FloatArray:
+    """Return node values on ``new``, interpolated from ``old`` and ``fill`` outside it.
+
+    - ``threads``: how many may share the planes of many nodes; it changes no result
+    """
+    out, inside, ends = np.full(new.shape, fill), [], []
+    for k, nodes in enumerate(new.axes()):
+        there = np.flatnonzero((nodes >= old.origin[k]) & (nodes <= old.upper[k]))
+        u = (nodes[there] - old.origin[k]) / old.spacing - 0.5
         lower = np.floor(u).astype(np.int64)
         w = (u - lower).reshape([-1 if axis == k else 1 for axis in range(3)])
-        low = values.take(np.maximum(lower, 0), axis=k)
-        high = values.take(np.minimum(lower + 1, values.shape[k] - 1), axis=k)
-        values = (1.0 - w) * low + w * high
-        inside.append(there)
-    out = np.full(new.shape, fill)
-    out[np.ix_(*reversed(inside))] = values
+        if len(there) == 0:
+            return out
+        inside.append(slice(there[0], there[-1] + 1))
+        ends.append((np.maximum(lower, 0), np.minimum(lower + 1, old.shape[k] - 1), w))
+    own, (low, high, weight) = out[tuple(inside)], ends[0]
+    size = max(1, _NEAR_NODES // math.prod(values.shape[1:]))
+
+    def bring(begin: int, end: int) -> None:
+        for first in range(begin, end, size):
+            rows = slice(first, min(first + size, end))
+            lowest = int(low[rows][0])
+            part = values[lowest : int(high[rows][-1]) + 1]
+            for k in (2, 1):
+                part = _between(part, k, *ends[k])
+            part = _between(part, 0, low[rows] - lowest, high[rows] - lowest, weight[rows])
+            own[rows] = part
+
+    with Team(max(1, min(threads, values.size // _PART))) as team:
+        team.share(bring, len(low))
     return out
+
+
+def _between(
+    values: FloatArray, axis: int, low: IntArray, high: IntArray, weight: FloatArray
+) -> FloatArray:
+    """Return ``(1 - weight) low + weight high`` of the nodes along an axis."""
+    found, other = values.take(low, axis=axis), values.take(high, axis=axis)
+    found *= 1.0 - weight
+    other *= weight
+    found += other
+    return found
 
 
 def mesh(axes: list[FloatArray]) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,6 @@ from multicell.nutrient.dense import Ends, eigenvalues
 from multicell.nutrient.faces import ghost_terms
 from multicell.nutrient.layer import exchanged
 from multicell.nutrient.steady import solve_steady
-
-if TYPE_CHECKING:
-    from multicell.nutrient.multigrid import MultigridSolver
 
 # What diagonalises the second difference on n cell-centred nodes, by what stands at its two ends
 # (True: a value, False: a slope): the name and the type of SciPy's transform.
@@ -57,11 +54,10 @@ class Diffusion:
     - ``source``, (nx, ny, nz), mM/s: what they bring to the nodes where the coefficient is that of
       tissue
     - ``dense``: the inverse on few nodes; None on others
-    - ``multigrid``: of the last solve on :data:`.steady.KEPT_NODES` and more: to get new memory of
-      the system takes as long as to solve in it
+    - ``room``: memory that multigrid has worked in
     """
 
-    multigrid: MultigridSolver | None
+    room: NDArray[np.float32] | None = None
 
     def __init__(
         self,
@@ -113,21 +109,13 @@ class Diffusion:
         for axis in range(self.dimensions):
             if self._repeats[axis]:
                 found[2 * axis] = found[2 * axis + 1] = (0.0, stencil.REPEATS)
-        self._sides, self.multigrid = _sides(self.shape, *zip(*found, strict=True)), None
+        self._sides = _sides(self.shape, *zip(*found, strict=True))
         self.ghost, self.const = self._sides.ghost, self._sides.const
         brought = self._sides.brought
         brought = _brought(self.shape, self.const) if brought is None else brought
         self.source = brought * self.stiffness
         halves = self._sides.halves
         self.dense = dense.Inverse(halves, self.stiffness) if halves else None
-
-    def take_over(self, before: Diffusion) -> None:
-        """Continue in the memory of another one, if all that differs is the distance of nodes."""
-        if before.multigrid is None or self.shape != before.shape:
-            return
-        alike = np.array_equal(self.ghost, before.ghost)
-        if alike and self.varied is None and before.varied is None:
-            self.multigrid, before.multigrid = before.multigrid, None
 
     def flows(self, c: FloatArray) -> tuple[float, float]:
         """Return the flows in and out through the faces and to the medium, amol/s."""

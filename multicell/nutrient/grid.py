@@ -273,7 +273,7 @@ class BoxLayout:
             return self._from_shells(values, old, fill)
         if old.box.shape == self.box.shape:
             return values  # nodes move with the tissue: as good a guess, measured
-        return moved(values, old.box, self.box, fill)
+        return moved(values, old.box, self.box, fill, self.threads)
 
     def carried(self, values: FloatArray, old: Layout, fill: float) -> FloatArray:
         """Return the values of another layout, each as often as it overlaps: amounts stay."""

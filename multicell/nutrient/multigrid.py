@@ -50,6 +50,11 @@ Triple = tuple[Any, Any, Any]
 FINEST = 1e-4
 """Least part of the imbalance that is asked to be left over: single precision allows no less."""
 
+_ARRAYS = 8  # of the nodes of a level
+_SPARE = 1.2
+"""Memory taken over what is needed: a grid that grows with its tissue then fits in it. Pages that
+nobody writes to cost nothing, and new ones of the system take as long as a solve."""
+
 _MIDDLE, _HALF = 7.0 / 6.0, 5.0 / 6.0  # of the spectrum that the smoother damps: 1/3 to 2
 _SMOOTHER = tuple(
     np.float32(1.0 / (_MIDDLE + sign * _HALF * math.sqrt(0.5))) for sign in (1.0, -1.0)
@@ -68,21 +73,17 @@ class _Level:
     - ``axes``, three of _Axis
     - ``team``: threads that share the loops, as many as there is work for (:data:`.stencil.PART`)
     - ``light``: those that share loops in which nodes do not see each other
+    - ``room``, (8 nodes,): memory to work in
     """
 
-    def __init__(self, axes: list[_Axis], team: Team) -> None:
+    def __init__(self, axes: list[_Axis], team: Team, room: Float32Array) -> None:
         self.along, self.shares, self.others, self.nearness = map(_triple, zip(*axes, strict=True))
         nx, ny, nz = map(len, self.shares)
         self.shape = (nx, ny, nz)
         self.weights: Triple | None = None
-        self.join(team)
-        # one block: of many arrays malloc returns more to the system, which has to clear it again
-        arrays = np.empty((8, *self.shape), np.float32)
+        self.team, self.light = stencil.teams(team, nx * ny * nz)
+        arrays = room.reshape(_ARRAYS, nx, ny, nz)
         self.rate, self.inverse, self.b, self.x, self.spare, *self.work = arrays
-
-    def join(self, team: Team) -> None:
-        """Take other threads."""
-        self.team, self.light = stencil.teams(team, math.prod(self.shape))
 
     def share(self, kernel: Callable[..., Any], *arguments: Any) -> None:
         """Run a kernel over the planes of this level."""
@@ -149,6 +150,7 @@ class Hierarchy:
     - ``ghost``, (6,): factors of the ghost values; see :mod:`multicell.nutrient.stencil`
     - ``team``: threads that share the loops; they do not change the result
     - ``varied``, (nx, ny, nz), optional: relative coefficient of diffusion at the nodes
+    - ``room``, (any,), optional: memory to work in, if it is enough; ``room`` is then the same
     """
 
     def __init__(
@@ -157,13 +159,19 @@ class Hierarchy:
         ghost: FloatArray,
         team: Team,
         varied: FloatArray | None = None,
+        room: Float32Array | None = None,
     ) -> None:
-        ends = (ghost < 0.0).reshape(3, 2).tolist()
-        axes = [_axis(n, *values) for n, values in zip(shape, ends, strict=True)]
+        sides = (ghost < 0.0).reshape(3, 2).tolist()
+        axes = [_axis(n, *values) for n, values in zip(shape, sides, strict=True)]
         depth = max(map(len, axes))
-        self.levels = [
-            _Level([axis[min(k, len(axis) - 1)] for axis in axes], team) for k in range(depth)
-        ]
+        levels = [[axis[min(k, len(axis) - 1)] for axis in axes] for k in range(depth)]
+        # each (4, n) table of an axis has a column a node
+        ends = np.cumsum([_ARRAYS * math.prod(a[0].shape[1] for a in level) for level in levels])
+        if room is None or len(room) < ends[-1]:
+            room = np.empty(int(_SPARE * ends[-1]), np.float32)
+        self.room = room
+        parts = np.split(room[: ends[-1]], ends[:-1])
+        self.levels = [_Level(level, team, p) for level, p in zip(levels, parts, strict=True)]
         self._pairs = list(pairwise(self.levels))
         if varied is not None:
             self._vary(_single(varied))
@@ -196,7 +204,7 @@ class Hierarchy:
 class MultigridSolver:
     """Conjugate gradients preconditioned by a V-cycle, with the arrays that they work in.
 
-    - ``operator``: diffusion with its conditions
+    - ``operator``: diffusion with its conditions, whose ``room`` it works in
     - ``team``: see :class:`Hierarchy`
 
     - ``newton``, ``cg``, int: systems solved and iterations
@@ -211,18 +219,13 @@ class MultigridSolver:
         if self._flat:
             shape, ghost = (1, *operator.shape[:2]), np.roll(operator.ghost, 2)
         varied = None if operator.varied is None else self._turned(operator.varied)
-        self._hierarchy = Hierarchy(shape, ghost, team, varied)
+        self._hierarchy = Hierarchy(shape, ghost, team, varied, operator.room)
+        operator.room = self._hierarchy.room
         self._finest = self._hierarchy.levels[0]
         self._x, self._p, self._q = self._finest.work
         self._q.fill(0.0)  # the first products are made of it too, before it is written
         self._r = self._finest.b
         self._parts = np.empty((2, shape[0]))
-
-    def begin(self, operator: Diffusion, team: Team) -> None:
-        """Count anew, with other threads and perhaps another distance of nodes."""
-        self.operator, self.newton, self.cg = operator, 0, 0
-        for level in self._hierarchy.levels:
-            level.join(team)
 
     def solve(self, rate: Floats, residual: Floats, size: float, goal: float) -> Floats:
         """Solve (-D L0 + rate) x = residual to ``goal``, a share of ``size``, the residual's norm.

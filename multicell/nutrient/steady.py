@@ -85,12 +85,6 @@ MULTIGRID_NODES = 50_000
 MAX_SINGLE = 1e5
 """Largest rate of uptake over D/h² at which multigrid, in single precision, is sure to help."""
 
-KEPT_NODES = 1_000_000
-"""Nodes from which on the arrays of multigrid are kept for the next solve.
-
-The C library returns blocks above 32 MB to the system when they are free; what is smaller it keeps.
-"""
-
 UPTAKE_SHIFT = 1.0
 """The preconditioner's uniform uptake, relative to the mean of the linearised uptake."""
 
@@ -161,12 +155,7 @@ def solve_steady(
         return _solve(problem, start, MultigridSolver(operator, Team()))
     with Team(max(1, min(operator.threads, nodes // stencil.PART))) as team:
         problem = _Problem(operator, sink, half_saturation, linear, supply, team, tolerance)
-        solver = operator.multigrid
-        if solver is None:
-            solver = MultigridSolver(operator, team)
-        operator.multigrid = solver if nodes >= KEPT_NODES else None
-        solver.begin(operator, team)
-        return _solve(problem, start, solver)
+        return _solve(problem, start, MultigridSolver(operator, team))
 
 
 def _solve(

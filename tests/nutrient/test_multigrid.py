@@ -11,7 +11,7 @@ from scipy.sparse.linalg import spsolve
 
 import multicell as mc
 from multicell.compiling.threads import Team
-from multicell.nutrient import steady, stencil
+from multicell.nutrient import cartesian, steady, stencil
 from multicell.nutrient.balls import gather
 from multicell.nutrient.cartesian import Box, mesh, moved
 from multicell.nutrient.multigrid import Hierarchy, MultigridSolver
@@ -98,8 +98,7 @@ def test_what_memory_held_before_warns_of_nothing(monkeypatch):
 
     def dirty(shape, dtype=float):
         out = np.full(shape, np.inf, dtype)
-        if out.ndim == 4:
-            out[:, ::2] *= -1.0
+        out[..., ::2] *= -1.0
         return out
 
     monkeypatch.setattr("multicell.nutrient.multigrid.np.empty", dirty)
@@ -166,7 +165,7 @@ def test_a_failure_in_a_thread_is_the_caller_s():
         team.share(fail, 4)
 
 
-def test_a_moved_grid_is_interpolated_as_points_are():
+def test_a_moved_grid_is_interpolated_as_points_are(monkeypatch):
     rng = np.random.default_rng(5)
     for n, m in itertools.product(((4, 5, 6), (1, 7, 3)), ((9, 3, 8), (2, 2, 2))):
         old = Box((-20.0, 3.0, 1.0), n, 10.0)
@@ -177,7 +176,14 @@ def test_a_moved_grid_is_interpolated_as_points_are():
         inside = ((points >= low) & (points <= high)).all(axis=1)
         expected = np.full(len(points), 0.4)
         expected[inside] = gather(old, points[inside], values)
-        np.testing.assert_allclose(moved(values, old, new, 0.4).ravel(), expected, rtol=1e-14)
+        found = moved(values, old, new, 0.4)
+        np.testing.assert_allclose(found.ravel(), expected, rtol=1e-14)
+        monkeypatch.setattr(cartesian, "_NEAR_NODES", 20)  # a few planes at once
+        monkeypatch.setattr(cartesian, "_PART", 1)
+        np.testing.assert_array_equal(moved(values, old, new, 0.4, 3), found)
+        monkeypatch.undo()
+    away = moved(values, old, Box((100.0, 0.0, 0.0), m, 7.3), 0.4)
+    np.testing.assert_array_equal(away, np.full(m, 0.4))
 
 
 def test_a_simulation_hands_its_threads_to_its_fields():

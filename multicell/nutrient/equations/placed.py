@@ -167,7 +167,7 @@ class PlacedSubstance:
             operator.threads = self._threads
             before = getattr(self, "operator", None)
             if isinstance(before, Diffusion):
-                operator.take_over(before)
+                operator.room = before.room
         else:
             operator = Shells(layout.radius, layout.count, p.diffusion, conditions, varied=varied)
         # at once: what is interrupted must not leave one beside the others
