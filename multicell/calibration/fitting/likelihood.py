@@ -39,7 +39,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from multicell.calibration.fitting.emulator import ENOUGH_DRAWS, PARTICLES, Emulator, best_of, draws
-from multicell.calibration.fitting.mosaic import Mosaic, mosaic
+from multicell.calibration.fitting.mosaic import Mosaic, mosaic, mosaic_of
 from multicell.calibration.fitting.pool import Pool
 from multicell.calibration.fitting.problem import FitProblem, misfit
 from multicell.calibration.fitting.search import Evaluation, Search
@@ -354,8 +354,8 @@ def fresh(
     if emulator is None:
         return Fresh(best, runs, tuple(reasons), scatter, None, None, missed, fitted)
     found = likelihood(emulator, problem.noise, best, scatter)
-    points, others = emulator.shares, np.diag(problem.noise.errors) + emulator.scatter
-    tiles = mosaic(points, emulator.residuals, others, emulator)
+    others = np.diag(problem.noise.errors) + emulator.scatter
+    tiles = mosaic_of(emulator, others)
     found = replace(found, mosaic=tiles)
     likely = found.draws(ENOUGH_DRAWS)
     chosen = likely[:: len(likely) // CHECKS][:CHECKS]
@@ -365,9 +365,9 @@ def fresh(
     checks, error = _check(residuals - known[0], known[1], scatter)
     if tiles is not None:
         whole = np.isfinite(residuals).all(axis=1)
-        points = np.vstack([points, best, chosen[whole]])
+        points = np.vstack([emulator.shares, best, chosen[whole]])
         values = np.vstack([emulator.residuals, scatter.mean, residuals[whole]])
-        found = replace(found, mosaic=mosaic(points, values, others))
+        found = replace(found, mosaic=mosaic(points, values, others)[0])
         checks = replace(checks, off=np.zeros_like(checks.off))
     elif checks.off.any():
         found = likelihood(emulator, problem.noise, best, scatter, error)

@@ -7,7 +7,9 @@ with the probability w_i(θ), and otherwise that of a tile without a run, normal
 variance of all runs. The w are those of indicator kriging with the covariance exp(-distance) of a
 mosaic whose edges lie at random (Journel 1983, Math. Geol. 15, 445): near two runs
 on both sides of an edge, of which none shows where between them it is, both count. Lengths of the
-distance and τ are those by which runs predict each other best, each left out once.
+distance and τ are those by which runs predict each other best, each left out once. What is compared
+are densities of data, of which a difference far below σ is none; where processes predict runs
+better, they are kept.
 """
 
 from __future__ import annotations
@@ -22,22 +24,21 @@ from multicell.calibration.fitting.emulator import Emulator
 from multicell.measured.noise import Array
 
 _LENGTHS: Final = 0.05 * 2.0 ** np.arange(8)  # of a tile, in parts of a range
-_WITHIN: Final = 10.0 ** np.arange(-1.0, 2.1, 0.5)  # τ in σ of the data
+_WITHIN: Final = 10.0 ** np.arange(-0.5, 2.1, 0.5)  # τ in σ of the data
 _NUGGET: Final = 1e-6  # of the diagonal of covariances, so that runs may share a place
 _FLOOR: Final = 1e-300  # of probabilities, whose logarithms are taken
-_SURE: Final = 3.0  # standard errors by which a mosaic must predict runs better
-
+_GAIN: Final = 0.1  # of ln of the density, a reading, from which a mosaic is taken
 
 @final
 @dataclass(frozen=True, eq=False)
 class Mosaic:
-    """Likelihood of the runs' tiles.
+    """Densities of data in the tiles of runs.
 
     - ``points``, (k, d): where runs were made, over the lengths of tiles
     - ``lengths``, (d,): of tiles, in parts of the ranges
     - ``inverse``, (k, k): of the covariance of the points
     - ``likely``, (k + 1, n): density of each datum in the tile of each run, and in one without a
-      run, over the largest
+      run
     - ``means``, ``variances``, (k + 1, n): of readings there, given the datum; in σ from it
     """
 
@@ -49,76 +50,74 @@ class Mosaic:
     variances: Array
 
     def loss(self, shares: Array) -> Array:
-        """Return -2 ln L up to a constant for parameters (k, d): (k,)."""
-        return np.asarray(-2.0 * np.log(self._density(self._weights(shares))).sum(axis=1))
+        """Return -2 ln L for parameters (k, d): (k,)."""
+        density = self._weights(shares) @ self.likely
+        return np.asarray(-2.0 * np.log(density + _FLOOR).sum(axis=1))
 
     def predict(self, shares: Array) -> tuple[Array, Array]:
         """Return (mean - datum) / σ and its variance, given the data, for parameters (k, d)."""
         weights = self._weights(shares)
-        density = self._density(weights)
-        means = weights @ (self.likely * self.means) / density
-        squares = weights @ (self.likely * (self.means**2 + self.variances)) / density
+        total = weights @ self.likely + _FLOOR
+        means = weights @ (self.likely * self.means) / total
+        squares = weights @ (self.likely * (self.means**2 + self.variances)) / total
         return means, np.maximum(squares - means**2, 0.0)
-
-    def _density(self, weights: Array) -> Array:
-        return np.asarray(np.maximum(weights @ self.likely, _FLOOR))
 
     def _weights(self, shares: Array) -> Array:
         near = np.exp(-_distances(shares / self.lengths, self.points))
         return _with_rest(near @ self.inverse)
 
 
-def mosaic(
-    points: Array, residuals: Array, others: Array, emulator: Emulator | None = None
-) -> Mosaic | None:
-    """Return the mosaic of runs.
+def mosaic_of(emulator: Emulator, others: Array) -> Mosaic | None:
+    """Return the mosaic of the runs of an emulator, None where that predicts them as well.
+
+    - ``others``, (n,): variance of datum and scatter, in σ²
+    """
+    found, scores = mosaic(emulator.shares, emulator.residuals, others)
+    seen = emulator.residuals > emulator.lowest + 1e-9
+    gain = float((scores - left_out(emulator, others))[seen].mean()) if seen.any() else 0.0
+    return found if gain > _GAIN else None
+
+
+def mosaic(points: Array, residuals: Array, others: Array) -> tuple[Mosaic, Array]:
+    """Return the mosaic of runs, and ln of the density at each by all others, (k, n).
 
     - ``points``, (k, d): where they were made
     - ``residuals``, (k, n): (mean - datum) / σ
     - ``others``, (n,): variance of datum and scatter, in σ²
-    - ``emulator``: through the same points; None is returned unless the mosaic predicts them better
     """
     centre, width = residuals.mean(axis=0), residuals.var(axis=0) + 1e-9
-    tiles = np.array(
-        [_normal(residuals[:, None] - residuals, np.full(len(centre), t**2)) for t in _WITHIN]
-    )
-    beyond = _normal(residuals - centre, width)
+    away = residuals[:, None] - residuals
+    tiles = np.array([_normal(away, others + t**2) for t in _WITHIN])
+    beyond = _normal(residuals - centre, width + others)
 
-    def scores(lengths: Array) -> tuple[Array, Array]:
-        """Return ln of the density of each run by all others, (k, n), and the τ of it, (n,)."""
+    def scored(lengths: Array) -> tuple[Array, Array]:
+        """Return ln of the densities, (k, n), and the likeliest τ, (n,)."""
         inverse = np.linalg.inv(_covariance(points / lengths))
         weights = _with_rest(np.eye(len(points)) - inverse / np.diag(inverse)[:, None])
         found = np.einsum("ij,tijn->tin", weights[:, :-1], tiles) + weights[:, -1:] * beyond
-        found = np.log(np.maximum(found, _FLOOR))
+        found = np.log(found + _FLOOR)
         best = found.sum(axis=1).argmax(axis=0)
         return found[best, :, np.arange(len(best))].T, _WITHIN[best]
 
     trials = [np.full(points.shape[1], length) for length in _LENGTHS]
-    lengths = max(trials, key=lambda tried: scores(tried)[0].sum())
+    lengths = max(trials, key=lambda tried: scored(tried)[0].sum())
     for k in range(len(lengths)):  # longer along parameters that move no edge
         trials = [np.where(np.arange(len(lengths)) == k, x, lengths) for x in _LENGTHS]
-        lengths = max(trials, key=lambda tried: scores(tried)[0].sum())
-    score, within = scores(lengths)
-    if emulator is not None:
-        better = np.where(residuals <= emulator.lowest + 1e-9, 0.0, score - left_out(emulator))
-        gain = better.sum(axis=1)
-        if not gain.mean() > _SURE * gain.std() / np.sqrt(len(gain)):
-            return None
+        lengths = max(trials, key=lambda tried: scored(tried)[0].sum())
+    scores, within = scored(lengths)
     own = np.vstack([np.tile(within**2, (len(points), 1)), width])
     at = np.vstack([residuals, centre])
-    density = -0.5 * (at**2 / (own + others) + np.log(own + others))
-    return Mosaic(
-        points / lengths,
-        lengths,
-        np.linalg.inv(_covariance(points / lengths)),
-        np.exp(density - density.max(axis=0)),
-        at * others / (own + others),
-        own * others / (own + others),
-    )
+    known = others / (own + others)
+    inverse = np.linalg.inv(_covariance(points / lengths))
+    likely = _normal(at, own + others)
+    found = Mosaic(points / lengths, lengths, inverse, likely, at * known, own * known)
+    return found, scores
 
 
-def left_out(emulator: Emulator) -> Array:
-    """Return ln of the density of each run by Gaussian processes through all others, (k, n).
+def left_out(emulator: Emulator, others: Array) -> Array:
+    """Return ln of the density at each run by Gaussian processes through all others, (k, n).
+
+    - ``others``, (n,): variance of datum and scatter, in σ²
 
     It is 0 for readings of zero that say nothing.
     """
@@ -126,8 +125,9 @@ def left_out(emulator: Emulator) -> Array:
     for process in emulator.processes:
         for column in process.columns:
             own = np.diag(cho_solve((column.root, True), np.eye(len(column.root))))[:, None]
-            logs = 0.5 * (np.log(own / (2.0 * np.pi)) - column.weights**2 / own)
-            found[np.ix_(column.points, column.data)] = logs - np.log(column.width)
+            variance = column.width**2 / own + others[column.data]
+            density = _normal(column.width * column.weights / own, variance)
+            found[np.ix_(column.points, column.data)] = np.log(density + _FLOOR)
     return found
 
 
