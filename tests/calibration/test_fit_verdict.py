@@ -15,7 +15,6 @@ from multicell.calibration.fitting.simulator import Reading
 from multicell.calibration.fitting.verdict import intervals
 from multicell.studies.axes import Range
 
-
 LEVELS = 0.8, 0.95
 
 
@@ -102,7 +101,8 @@ def exact_draws(problem):
     toy = problem.simulator
     along = places @ np.asarray(toy.ways).T
     readings = 5.0 * places.sum(axis=1)[:, None] + np.zeros(len(problem.sigma))
-    for heights, edges, way in zip(np.transpose(toy.heights), np.transpose(toy.places), along.T, strict=True):
+    steps = np.transpose(toy.heights), np.transpose(toy.places), along.T
+    for heights, edges, way in zip(*steps, strict=True):
         readings += heights * (way[:, None] > edges)
     assert readings[7] == pytest.approx(toy(places[7], 0, 0).values)
     loss = (((readings - problem.observed) / problem.sigma) ** 2).sum(axis=1)

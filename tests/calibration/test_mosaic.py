@@ -38,20 +38,15 @@ def test_a_lone_run_holds_for_an_exponential_distance():
 
 def test_leaving_out_is_what_processes_without_that_run_predict():
     known = through(POINTS, JUMPS)
-    (process,) = known.processes
-    covariance = process.points, process.smooth
-    scores = left_out(known, np.zeros(3))
-    root = process.columns[0].root
-    full = root @ root.T
+    (column,) = known.processes[0].columns
+    full = column.root @ column.root.T
+    values = (known.residuals - column.centre) / column.width
+    scores = left_out(known, np.full(3, 0.5))
     for k in range(len(POINTS)):
         rest = np.delete(np.arange(len(POINTS)), k)
         part = np.linalg.solve(full[np.ix_(rest, rest)], full[rest, k])
-        place = [int(np.flatnonzero((covariance[0] == p - 0.5).all(axis=1))[0]) for p in POINTS]
-        assert sorted(place) == list(range(len(POINTS)))
-        column = process.columns[0]
-        values = (known.residuals - column.centre) / column.width
-        spread = np.sqrt(full[k, k] - full[k, rest] @ part)
-        wanted = norm.logpdf(values[k], part @ values[rest], spread) - np.log(column.width)
+        spread = np.sqrt((full[k, k] - full[k, rest] @ part) * column.width**2 + 0.5)
+        wanted = norm.logpdf((values[k] - part @ values[rest]) * column.width, scale=spread)
         assert scores[k] == pytest.approx(wanted, abs=1e-4)
 
 
@@ -86,7 +81,7 @@ def test_emulator_keeps_the_runs_that_it_goes_through():
     known = emulator(
         np.vstack([POINTS, [[0.5, 0.5]]]), lost, np.zeros_like(lost), (lost**2).sum(axis=1)
     )
-    rows = [int(np.flatnonzero((POINTS == p).all(axis=1))[0]) for p in known.shares]
+    rows = [int(np.flatnonzero((p == POINTS).all(axis=1))[0]) for p in known.shares]
     assert sorted(rows) == list(range(12))
     assert (known.residuals == JUMPS[rows]).all()
 

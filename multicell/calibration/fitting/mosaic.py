@@ -29,6 +29,7 @@ _NUGGET: Final = 1e-6  # of the diagonal of covariances, so that runs may share 
 _FLOOR: Final = 1e-300  # of probabilities, whose logarithms are taken
 _GAIN: Final = 0.1  # of ln of the density, a reading, from which a mosaic is taken
 
+
 @final
 @dataclass(frozen=True, eq=False)
 class Mosaic:
