@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from cheap_fits import CASES, fitted, growing, linear, through
+from cheap_fits import CASES, fitted, growing, jumping, linear, through
 from scipy.stats import norm
-from test_fit_verdict import jumping
 
 from multicell.calibration.fitting.emulator import emulator
 from multicell.calibration.fitting.likelihood import _is_worse
@@ -20,10 +19,18 @@ JUMPS = np.where(POINTS[:, :1] > [0.3, 0.5, 0.7], 3.0, 0.0) + 0.05 * DATA.normal
 def test_density_far_from_runs_is_that_of_all_runs_and_at_a_run_its_own():
     found, _ = mosaic(POINTS, JUMPS, np.ones(3))
     own = norm.logpdf(JUMPS[0], scale=1.0 / np.sqrt(1.0 - found.variances[0]))  # 1 + τ²
-    assert found.likely[0] == pytest.approx(np.exp(own))
-    assert found.loss(POINTS[:1]) == pytest.approx(-2.0 * own.sum(), abs=1e-2)
     wide = norm.logpdf(JUMPS.mean(axis=0), scale=np.sqrt(1.0 + JUMPS.var(axis=0)))
-    assert found.loss(np.full((1, 2), 1e3)) == pytest.approx(-2.0 * wide.sum())
+    assert found.likely[0] / found.likely[-1] == pytest.approx(np.exp(own - wide))
+    near, far = found.loss(np.vstack([POINTS[0], [1e3, 1e3]]))
+    assert far - near == pytest.approx(2.0 * (own - wide).sum(), abs=1e-2)
+
+
+def test_data_far_from_all_runs_still_choose_the_nearest():
+    """Densities that round to zero."""
+    found, _ = mosaic(POINTS, JUMPS + 1e3, np.ones(3))
+    losses = found.loss(POINTS)
+    assert np.isfinite(losses).all()
+    assert losses[np.argmin(JUMPS.sum(axis=1))] < losses[np.argmax(JUMPS.sum(axis=1))]
 
 
 def test_a_lone_run_holds_for_an_exponential_distance():

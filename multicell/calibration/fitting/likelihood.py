@@ -361,8 +361,9 @@ def fresh(
     chosen = likely[:: len(likely) // CHECKS][:CHECKS]
     tasks = [(x.tolist(), first + MAX_REPEATS + k) for k, x in enumerate(chosen)]
     runs_there, more = search.extra(pool, tasks, progress)
-    residuals, known = (runs_there - problem.observed) / problem.sigma, found.predict(chosen)
-    checks, error = _check(residuals - known[0], known[1], scatter)
+    residuals = (runs_there - problem.observed) / problem.sigma
+    means, variances = found.predict(chosen)
+    checks, error = _check(residuals - means, variances, scatter)
     if tiles is not None:
         whole = np.isfinite(residuals).all(axis=1)
         points = np.vstack([emulator.shares, best, chosen[whole]])
