@@ -28,8 +28,9 @@ _WITHIN: Final = 10.0 ** np.arange(-0.5, 2.1, 0.5)  # τ in σ of the data
 _NUGGET: Final = 1e-6  # of the diagonal of covariances, so that runs may share a place
 _FLOOR: Final = 1e-300  # of probabilities, whose logarithms are taken
 _GAIN: Final = 0.1
-"""Gain of ln of the density, a reading, from which a mosaic is taken: a choice between at least 0.29
-where all data jump, and at most -0.15 of smooth data, cores that begin, or runs that scatter."""
+"""Gain of ln of the density, a reading, from which a mosaic is taken: a choice.
+
+It is at least 0.29 where all data jump; at most -0.15 of smooth data, cores that begin, scatter."""
 
 
 @final
