@@ -183,6 +183,44 @@ def read(text, folder, scene, **options):
     return read_data(file, scene, **options)
 
 
+@dataclass(frozen=True)
+class Steps:
+    """Readings that jump: sums of steps at random places, and a core that begins at once."""
+
+    heights: tuple[tuple[float, ...], ...]
+    places: tuple[tuple[float, ...], ...]
+    ways: tuple[tuple[float, ...], ...]
+
+    @classmethod
+    def drawn(cls, seed, data=6, steps=5, parameters=2):
+        rng = np.random.default_rng(seed)
+        ways = rng.normal(size=(steps, parameters))
+        shape = data, steps
+        return cls(*(tuple(map(tuple, x)) for x in (
+            rng.normal(scale=30.0, size=shape), rng.uniform(-0.6, 1.0, shape), ways,
+        )))  # fmt: skip
+
+    def __call__(self, shares, condition, seed):
+        along = np.asarray(self.ways) @ np.asarray(shares)
+        jumps = along[None, :] > np.asarray(self.places)
+        found = (np.asarray(self.heights) * jumps).sum(axis=1) + 5.0 * sum(shares)
+        return Reading(tuple(map(float, found)))
+
+
+def jumping(seed):
+    return jumping_from(seed)[0]
+
+
+def jumping_from(seed):
+    """Return a problem and the parameters that its data come from."""
+    simulator = Steps.drawn(seed)
+    rng = np.random.default_rng(1000 + seed)
+    true = rng.random(2)
+    truth = simulator(true, 0, 0).values
+    ranges = tuple(Range(f"toy.p{k}", 0.0, 1.0, "", False, f"p{k}", False) for k in range(2))
+    return FitProblem(measured(truth + rng.normal(size=6), 1.0), ranges, simulator, (1,)), true
+
+
 def exact(problem):
     """Return mean and covariance of the posterior of a linear problem whose ends do not count.
 

@@ -112,6 +112,7 @@ class Emulator:
     - ``scatter``, (n,): variance over runs and of their mean, s² (1 + 1/K) / σ²
     - ``noise``: of the data
     - ``prior``: of the parameters
+    - ``shares``, (k, d), ``residuals``, (k, n): points, and (mean - datum) / σ there
     """
 
     processes: tuple[Process, ...]
@@ -119,6 +120,8 @@ class Emulator:
     scatter: Array
     noise: Noise
     prior: Prior
+    shares: Array
+    residuals: Array
 
     def predict(self, shares: Array) -> tuple[Array, Array]:
         """Return (mean - datum) / σ and its variance for parameters (k, d): (k, n) each."""
@@ -193,6 +196,8 @@ def emulator(
         _near_scatter(scatter, loss),
         noise or Noise.of_means(np.ones(residuals.shape[1])),
         Prior(shares.shape[1]) if prior is None else prior,
+        shares[nearest],
+        residuals[nearest],
     )
 
 

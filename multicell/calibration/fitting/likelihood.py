@@ -25,7 +25,8 @@ as normal.
 
 Runs at draws from the intervals check the emulator where it is used (:func:`fresh`): where it is
 further off at a datum than scatter and its own error explain, that error is raised to what was
-found, and the intervals are drawn again.
+found, and the intervals are drawn again. Of data that jump the likelihood is that of a mosaic
+(:mod:`~multicell.calibration.fitting.mosaic`), which these runs then join.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from multicell.calibration.fitting.emulator import ENOUGH_DRAWS, PARTICLES, Emulator, best_of, draws
+from multicell.calibration.fitting.mosaic import Mosaic, mosaic, mosaic_of
 from multicell.calibration.fitting.pool import Pool
 from multicell.calibration.fitting.problem import FitProblem, misfit
 from multicell.calibration.fitting.search import Evaluation, Search
@@ -89,6 +91,7 @@ class Likelihood:
       may be 0
     - ``spread``, (k, k): scale of the Student distribution along them, at the best point
     - ``freedom``: its degrees of freedom
+    - ``mosaic``: of data that jump, in place of the processes and of C; else None
     """
 
     emulator: Emulator
@@ -98,18 +101,26 @@ class Likelihood:
     directions: Array
     spread: Array
     freedom: float
+    mosaic: Mosaic | None = None
 
     def predict(self, shares: Array) -> tuple[Array, Array]:
         """Return (mean - datum) / σ and the variance of its error for parameters (k, d)."""
+        if self.mosaic is not None:
+            return self.mosaic.predict(shares)
         means, variances = self.emulator.predict(shares)
         return np.maximum(means + self.shift, self.emulator.lowest), variances + self.error
 
     def loss(self, shares: Array) -> Array:
         """Return -2 ln L up to a constant for parameters (k, d): (k,)."""
+        if self.mosaic is not None:
+            return self.mosaic.loss(shares)
         return self.loss_of(*self.predict(shares))
 
     def loss_of(self, means: Array, variances: Array) -> Array:
-        """Return -2 ln L for (mean - datum) / σ and the variances of their errors, (k, n): (k,)."""
+        """Return -2 ln L for (mean - datum) / σ and the variances of their errors, (k, n): (k,).
+
+        A mosaic has no part in it.
+        """
         white = means @ self.whitening.T
         count, along = self.directions.shape
         part = white @ self.directions
@@ -197,6 +208,7 @@ DEFAULT_REPEATS: Final = 12  # fresh runs at the best point
 MAX_REPEATS: Final = 1000  # most of them
 CHECKS: Final = 6  # draws from the intervals that are run
 _CHANCE: Final = 0.01  # chance at which a check finds an error at a datum that is none
+_NOTHING: Final = 1e-3  # of σ, by which runs and emulators may differ without account
 
 
 @final
@@ -206,7 +218,7 @@ class Checks:
 
     - ``found``: root mean square of run less emulator
     - ``expected``: what scatter of runs and the emulator's own error explain of it
-    - ``off``: where it is more than chance explains
+    - ``off``: where it is more than chance explains; nowhere of a mosaic, whose own these runs are
     """
 
     found: Array
@@ -226,7 +238,7 @@ class Fresh:
     - ``likelihood``: of the parameters; None without an emulator or without scatter
     - ``checks``: of the emulator; None without a likelihood
     - ``missed``: whether the emulator's best point was worse than one that had run, which is then
-      the best
+      the best, by more than a thousandth of σ at each datum makes
     - ``problem``: with the errors of data that residuals have shown; None: they are stated
     """
 
@@ -265,8 +277,11 @@ def _again(
 
 def _is_worse(
     problem: FitProblem, shares: Array, runs: Array, ran: Evaluation, search: Search
-) -> bool:
-    """Return whether runs at a point fit worse than the best of a search did, beyond scatter."""
+) -> tuple[bool, bool]:
+    """Return whether runs at a point fit worse than the best of a search did, beyond scatter.
+
+    The first is beyond rounding of the readings, the second by an amount that counts.
+    """
     if problem.scatter == "unknown":
         found = (ran.misfit.means - problem.observed) / problem.sigma
         problem = with_scatter(problem, found, ran.misfit.scatter / problem.sigma**2)
@@ -276,7 +291,11 @@ def _is_worse(
     scatter = np.maximum(there.scatter, ran.misfit.scatter)
     part = scatter / (scatter + problem.sigma**2)  # of what each datum adds to χ² by chance
     chance = part.sum() + 3.0 * np.sqrt(2.0 * (part**2).sum())
-    return bool(there.chi_squared + here > ran.misfit.chi_squared + before + chance + 1e-9)
+    excess = there.chi_squared + here - ran.misfit.chi_squared - before - chance
+    residuals = np.abs(there.residuals)
+    rounding = 8.0 * np.finfo(float).eps * (np.abs(problem.observed / problem.sigma) + residuals)
+    slack = [float((2.0 * residuals * e + e**2).sum()) for e in (rounding, _NOTHING)]
+    return bool(excess > slack[0]), bool(excess > slack[1])
 
 
 def fresh(
@@ -303,7 +322,9 @@ def fresh(
     seeds = [first + k for k in range(count)]
     trial = count if np.array_equal(best, ran.shares) else max(1, count // 3)
     runs, reasons = _again(search, pool, best, seeds[:trial], (0, count), progress)
-    worse = trial < count and _is_worse(problem, best, runs, ran, search)
+    worse = missed = False
+    if trial < count:
+        worse, missed = _is_worse(problem, best, runs, ran, search)
     if worse:  # the emulator misses something that its runs found
         best, seeds = (
             ran.shares,
@@ -317,7 +338,7 @@ def fresh(
     residuals = (runs - problem.observed) / problem.sigma
     whole = np.isfinite(residuals).any(axis=1)
     if whole.sum() < MIN_REPEATS:
-        return Fresh(best, runs, tuple(reasons), None, None, None, worse)
+        return Fresh(best, runs, tuple(reasons), None, None, None, missed)
     fitted = None
     if problem.scatter == "unknown":
         share = 1.0 / problem.tissues + 1.0 / whole.sum()
@@ -331,17 +352,27 @@ def fresh(
     instead = 0.0 if emulator is None else emulator.means(best[None])[0]
     scatter = scatter_of(np.where(known, residuals, instead))
     if emulator is None:
-        return Fresh(best, runs, tuple(reasons), scatter, None, None, worse, fitted)
+        return Fresh(best, runs, tuple(reasons), scatter, None, None, missed, fitted)
     found = likelihood(emulator, problem.noise, best, scatter)
+    others = np.diag(problem.noise.errors) + emulator.scatter
+    tiles = mosaic_of(emulator, others)
+    found = replace(found, mosaic=tiles)
     likely = found.draws(ENOUGH_DRAWS)
     chosen = likely[:: len(likely) // CHECKS][:CHECKS]
-    points = [(x.tolist(), first + MAX_REPEATS + k) for k, x in enumerate(chosen)]
-    runs_there, more = search.extra(pool, points, progress)
-    away = (runs_there - problem.observed) / problem.sigma - found.predict(chosen)[0]
-    checks, error = _check(away, found.predict(chosen)[1], scatter)
-    if checks.off.any():
+    tasks = [(x.tolist(), first + MAX_REPEATS + k) for k, x in enumerate(chosen)]
+    runs_there, more = search.extra(pool, tasks, progress)
+    residuals = (runs_there - problem.observed) / problem.sigma
+    means, variances = found.predict(chosen)
+    checks, error = _check(residuals - means, variances, scatter)
+    if tiles is not None:
+        whole = np.isfinite(residuals).all(axis=1)
+        points = np.vstack([emulator.shares, best, chosen[whole]])
+        values = np.vstack([emulator.residuals, scatter.mean, residuals[whole]])
+        found = replace(found, mosaic=mosaic(points, values, others)[0])
+        checks = replace(checks, off=np.zeros_like(checks.off))
+    elif checks.off.any():
         found = likelihood(emulator, problem.noise, best, scatter, error)
-    return Fresh(best, runs, (*reasons, *more), scatter, found, checks, worse, fitted)
+    return Fresh(best, runs, (*reasons, *more), scatter, found, checks, missed, fitted)
 
 
 def _check(away: Array, variances: Array, scatter: Scatter) -> tuple[Checks, Array]:
@@ -353,7 +384,6 @@ def _check(away: Array, variances: Array, scatter: Scatter) -> tuple[Checks, Arr
     noise = scatter.variance * (1.0 + 1.0 / scatter.count)
     expected = noise + variances.mean(axis=0)
     limit = stats.f.isf(_CHANCE, np.maximum(known, 1), scatter.count - 1.0)
-    # a thousandth of σ is of no account, and may be all that runs without scatter differ by
-    off = (known > 0) & (squares > limit * expected + 1e-6)
+    off = (known > 0) & (squares > limit * expected + _NOTHING**2)
     error = np.where(off, squares - expected, 0.0)
     return Checks(np.sqrt(squares), np.sqrt(expected), off), error

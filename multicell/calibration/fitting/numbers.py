@@ -241,7 +241,8 @@ class FitNumbers:
     def contradictions(self) -> list[str]:
         """Contradictions within the result; empty if there are none."""
         found = []
-        if self.fresh.missed:
+        known = self.fresh.likelihood
+        if self.fresh.missed and (known is None or known.mosaic is None):
             found.append(
                 "The emulator's best point was worse than one that had run, which was taken: the "
                 "intervals follow the emulator and may miss it."
@@ -393,6 +394,11 @@ class FitNumbers:
             )
         if self.fresh.checks is None:
             notes.append(f"There are no intervals: {self._lacking}.")
+        elif self.fresh.likelihood is not None and self.fresh.likelihood.mosaic is not None:
+            notes.append(
+                "Data jump between runs: intervals count that runs show up to which one readings "
+                "stay the same, and not where between two runs they jump."
+            )
         else:
             notes += _emulator_notes(self.fresh.checks, data)
         if self.fresh.reasons:

@@ -66,6 +66,9 @@ def checked_profile(
     check_cores(cores)
     profile, known = profile_of(fit, name), fit.fresh.likelihood
     assert known is not None
+    if known.mosaic is not None:
+        hint = "Runs on both sides of an edge are in fit.runs; a larger budget adds some."
+        raise FitFailed("the data jump between runs, whose scatter shows no edge", hint)
     ends = profile.ends(level)
     if not ends:
         return []
