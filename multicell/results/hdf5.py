@@ -258,6 +258,7 @@ def _storage(chunks: tuple[int, ...], level: int) -> Any:
 
 
 _type = cache(h5py.h5t.py_create)
+_TEXT, _SCALAR = h5py.string_dtype(), h5py.h5s.create(h5py.h5s.SCALAR)
 _PARENTS: Final = h5py.h5p.create(h5py.h5p.LINK_CREATE)
 _PARENTS.set_create_intermediate_group(True)
 
@@ -272,11 +273,8 @@ def _create(target: Any, path: str, kind: DatasetKind, rows: NDArray[Any]) -> No
     )
     if len(rows):
         column.write(h5py.h5s.ALL, h5py.h5s.ALL, np.ascontiguousarray(rows))
-    text = h5py.string_dtype()
-    unit = h5py.h5a.create(
-        column, b"unit", _type(text, logical=True), h5py.h5s.create(h5py.h5s.SCALAR)
-    )
-    unit.write(np.array(kind.unit, text))
+    unit = h5py.h5a.create(column, b"unit", _type(_TEXT, logical=True), _SCALAR)
+    unit.write(np.array(kind.unit, _TEXT))
 
 
 @final
@@ -564,10 +562,12 @@ class _Columns:
     """The data sets of an open file, for one who goes through their rows.
 
     HDF5 takes as long to find a few rows as to read many, and h5py's objects longer than either.
+
+    - ``ahead``: bytes of a data set that are read at once
     """
 
-    def __init__(self, file: Any) -> None:
-        self._file = file.id
+    def __init__(self, file: Any, ahead: int = _AHEAD) -> None:
+        self._file, self._ahead = file.id, ahead
         self._known: dict[str, _Column] = {}
 
     def __contains__(self, path: str) -> bool:
@@ -575,7 +575,7 @@ class _Columns:
 
     def __getitem__(self, path: str) -> _Column:
         if path not in self._known:
-            self._known[path] = _Column(h5py.h5d.open(self._file, path.encode()))
+            self._known[path] = _Column(h5py.h5d.open(self._file, path.encode()), self._ahead)
         return self._known[path]
 
 
@@ -583,9 +583,9 @@ class _Columns:
 class _Column:
     """A data set of which blocks of rows are kept until others are asked for."""
 
-    def __init__(self, rows: Any) -> None:
+    def __init__(self, rows: Any, ahead: int) -> None:
         self._rows, self._shape, self._type = rows, rows.shape, rows.dtype
-        self._block = max(1, _AHEAD // (self._type.itemsize * math.prod(self._shape[1:])))
+        self._block = max(1, ahead // (self._type.itemsize * math.prod(self._shape[1:])))
         self._begin, self._held = 0, np.empty((0, *self._shape[1:]), self._type)
 
     def __len__(self) -> int:
@@ -697,7 +697,7 @@ class File:
         if frames := _frames_of(self):
             return {path: array.copy() for path, array in frames[place].items()}
         with self._again() as file:
-            return self._frame(_Columns(file), place)
+            return self._frame(_Columns(file, ahead=0), place)
 
     def check(self) -> None:
         """Read all of it once; raises OutputError if something is not what was written."""
