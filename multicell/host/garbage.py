@@ -7,10 +7,10 @@ import gc
 from typing import Final
 
 _RARELY: Final = 100_000
-_AT_FIRST: Final = 400_000
 """New objects after which garbage is looked for. Python's own 700 suit programs that make it;
-modules make hundreds of thousands of objects that live on, and most commands end before there is
-any other search than among these."""
+modules make hundreds of thousands of objects that live on."""
+_AT_FIRST: Final = 400_000
+"""The same until the first search: most commands end before, and make little but their modules."""
 
 
 def collect_rarely() -> None:
