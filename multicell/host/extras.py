@@ -7,7 +7,7 @@ import platform
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib import import_module, metadata
+from importlib import import_module
 from typing import Any, Final
 
 from multicell import __version__
@@ -102,6 +102,8 @@ def checkup() -> dict[str, Any]:
 
 def _requirements() -> tuple[list[str], dict[str, list[str]]]:
     """Return the packages that are always needed, and those of each extra that users know."""
+    from importlib import metadata
+
     needed: list[str] = []
     extras: dict[str, list[str]] = {name: [] for name in (*EXTRAS, "study")}
     try:
@@ -121,6 +123,8 @@ def _requirements() -> tuple[list[str], dict[str, list[str]]]:
 
 def _version(name: str) -> str:
     """Return the version of a package, or nothing if it is not installed."""
+    from importlib import metadata
+
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:

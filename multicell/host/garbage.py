@@ -9,9 +9,19 @@ from typing import Final
 _RARELY: Final = 100_000
 """New objects after which garbage is looked for. Python's own 700 suit programs that make it;
 modules make hundreds of thousands of objects that live on."""
+_AT_FIRST: Final = 400_000
+"""The same until the first search: most commands end before, and make little but their modules."""
 
 
 def collect_rarely() -> None:
     """Look for garbage rarely in this process, and not once more among all modules at its end."""
-    gc.set_threshold(_RARELY, *gc.get_threshold()[1:])
+    gc.set_threshold(_AT_FIRST, *gc.get_threshold()[1:])
+    gc.callbacks.append(_more_often)
     atexit.register(gc.freeze)
+
+
+def _more_often(phase: str, about: dict[str, int]) -> None:
+    """Take the second number from the first search on."""
+    if phase == "stop":
+        gc.set_threshold(_RARELY, *gc.get_threshold()[1:])
+        gc.callbacks.remove(_more_often)

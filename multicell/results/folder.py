@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import errno
+import glob
 import json
 import os
 import re
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from functools import cache
-from importlib import metadata
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -59,13 +60,21 @@ def package_version(package: str = "multicell") -> str:
     """Return the version of a package, or ``"not installed"``."""
     if package == "multicell":
         return __version__
+    name = f"{package.replace('-', '_')}-*.dist-info"
+    found = [
+        place for folder in sys.path for place in glob.glob(os.path.join(glob.escape(folder), name))
+    ]
+    if len(found) == 1:  # as nearly always, and Python's own search takes 0.02 s to be loaded
+        with suppress(OSError):
+            text = Path(found[0], "METADATA").read_text("utf-8", "replace")
+            if said := re.search(r"^Version: *(\S+)", text, re.MULTILINE):
+                return said[1]
+    from importlib import metadata
+
     try:
-        found = metadata.distribution(package)
+        return metadata.version(package)
     except metadata.PackageNotFoundError:
         return "not installed"
-    # to read all that is said of a package as a letter takes ten times as long
-    said = re.search(r"^Version: *(\S+)", found.read_text("METADATA") or "", re.MULTILINE)
-    return said[1] if said else found.version
 
 
 def versions() -> dict[str, str]:

@@ -7,6 +7,8 @@ fields are coded (:mod:`multicell.results.coding`).
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import cache
+from types import MappingProxyType
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
@@ -45,8 +47,13 @@ class DatasetKind(NamedTuple):
         return () if self.width is None else (self.width,)
 
 
-def layout(nutrients: Iterable[str]) -> dict[str, DatasetKind]:
+def layout(nutrients: Iterable[str]) -> Mapping[str, DatasetKind]:
     """Return all data sets but those of the history, by path; checksums go by their order."""
+    return _layout(tuple(nutrients))
+
+
+@cache
+def _layout(nutrients: tuple[str, ...]) -> Mapping[str, DatasetKind]:
     sets = {
         "frames/offset": DatasetKind("<i8", None, "ends"),
         "frames/time": DatasetKind("<f8", None, "frames", "s"),
@@ -83,7 +90,7 @@ def layout(nutrients: Iterable[str]) -> dict[str, DatasetKind]:
                 entry.dtype, entry.width or None, "frames", entry.unit
             )
         sets[f"cells/concentration_{name}"] = DatasetKind("<f8", None, "frames/offset", UNIT, _LONG)
-    return sets
+    return MappingProxyType(sets)
 
 
 def of_rows(dtype: str, unit: str = "") -> DatasetKind:
@@ -121,7 +128,7 @@ def _field_rows(name: str, arrays: Mapping[str, NDArray[Any]]) -> Arrays:
 def check_frame(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> None:
     """Refuse arrays of another type or shape than a frame has; raises OutputError."""
     sets = layout(nutrients)
-    sets |= {"time": sets["frames/time"], "step": sets["frames/step"]}
+    sets = {**sets, "time": sets["frames/time"], "step": sets["frames/step"]}
     count = arrays["cells/id"].shape if "cells/id" in arrays else ()
     for path, array in arrays.items():
         kind = sets.get(

@@ -1,6 +1,7 @@
 """Processes that make the runs of a fit: their order, and reports of lost ones."""
 
 from concurrent.futures import Future
+from contextlib import contextmanager
 
 import pytest
 from cheap_fits import MATRIX, calls_of, linear
@@ -26,6 +27,22 @@ def test_in_this_process_a_call_is_made_when_the_one_before_has_ended():
         found.append((key, result))
         assert made == list(range(len(found)))
     assert found == [("call 0", 0), ("call 1", 1), ("call 2", 4), ("call 3", 9)]
+
+
+def test_no_worker_is_started_for_no_calls(monkeypatch):
+    started = []
+
+    @contextmanager
+    def count_starts(*given):
+        started.append(given)
+        yield None
+
+    monkeypatch.setattr("multicell.studies.workers.workers", count_starts)
+    with open_pool(2, None) as pool:
+        assert list(pool.results([])) == []
+        assert started == []
+        assert pool.count == 1
+    assert started == [(2, None)]
 
 
 @pytest.mark.slow

@@ -24,8 +24,8 @@ def installed(monkeypatch):
             raise metadata.PackageNotFoundError(name)
         return known[name]
 
-    monkeypatch.setattr(doctor.metadata, "requires", lambda _: wanted)
-    monkeypatch.setattr(doctor.metadata, "version", version)
+    monkeypatch.setattr(metadata, "requires", lambda _: wanted)
+    monkeypatch.setattr(metadata, "version", version)
     return known
 
 
@@ -58,7 +58,7 @@ def test_sources_that_are_not_installed_know_no_packages(monkeypatch):
     def absent(name):
         raise metadata.PackageNotFoundError(name)
 
-    monkeypatch.setattr(doctor.metadata, "requires", absent)
-    monkeypatch.setattr(doctor.metadata, "version", absent)
+    monkeypatch.setattr(metadata, "requires", absent)
+    monkeypatch.setattr(metadata, "version", absent)
     found = doctor.checkup()
     assert (found["versions"], found["missing"]) == ({"multicell": __version__}, {})

@@ -122,7 +122,7 @@ def test_calls_of_a_fit_are_made_by_workers_of_this_version(another_version, tmp
             cluster.worker(path=another_version)
             wait_for(lambda: len(client.nthreads()) == 2)
             calls = [(k, eval, (MODEL,)) for k in range(20)]
-            found = dict(Pool(client).results(calls))
+            found = dict(Pool(lambda: client).results(calls))
     assert found == dict.fromkeys(range(20), MODEL_VERSION)
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from functools import cached_property
 from typing import Any, final
 
 from multicell.errors import ClusterError, ExitCode, FitFailed
@@ -21,12 +22,19 @@ def _here(function: Callable[..., Any], *arguments: Any) -> Any:
 class Pool:
     """A pool that makes calls: of workers, or in this process.
 
-    - ``client``: of Dask; None: this process
+    - ``connect``: starts workers, when they are first needed, and returns a client of Dask; None:
+      this process
     - ``call``: makes one call in this process
     """
 
-    def __init__(self, client: Any = None, call: Callable[..., Any] = _here) -> None:
-        self._client, self._call = client, call
+    def __init__(
+        self, connect: Callable[[], Any] | None = None, call: Callable[..., Any] = _here
+    ) -> None:
+        self._connect, self._call = connect, call
+
+    @cached_property
+    def _client(self) -> Any:
+        return None if self._connect is None else self._connect()
 
     @property
     def count(self) -> int:
@@ -39,9 +47,12 @@ class Pool:
         In this process each is made once the result before it was taken. Those under way are
         cancelled where this iterator is closed.
         """
-        if self._client is None:
+        if self._connect is None:
             for key, function, arguments in calls:
                 yield key, self._call(function, *arguments)
+            return
+        calls = list(calls)
+        if not calls:  # of a fit that is whole: no worker is started
             return
         import distributed
 
@@ -96,6 +107,8 @@ def future_result(future: Any) -> Any:
 def open_pool(cores: int | None, scheduler: str | None) -> Iterator[Pool]:
     """Yield a pool: with one core and no scheduler this process, else workers of Dask.
 
+    Workers are started by the first calls, if there are any.
+
     - ``cores``: number of worker processes on this machine; None: as many as it has cores
     - ``scheduler``: address of a Dask scheduler whose workers are used instead
     """
@@ -104,5 +117,5 @@ def open_pool(cores: int | None, scheduler: str | None) -> Iterator[Pool]:
         return
     from multicell.studies.workers import workers
 
-    with workers(cores, scheduler) as client:
-        yield Pool(client)
+    with ExitStack() as stack:
+        yield Pool(lambda: stack.enter_context(workers(cores, scheduler)))

@@ -244,11 +244,18 @@ def _packed(canvas: Any, size: tuple[int, int]) -> str:
     from PIL import Image
 
     packed = io.BytesIO()
-    pixels = np.asarray(canvas.buffer_rgba())[-size[1] :]
-    image = Image.frombuffer("RGBA", size, pixels, "raw", "RGBA", 0, 1).convert("RGB")
-    # a palette makes it a third as large; harder packing saves a tenth in ten times the time
-    few = image.quantize(256, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
-    few.save(packed, format="PNG", compress_level=6)
+    pixels = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[-size[1] :])
+    flat = pixels.view("<u4").reshape(-1)
+    # a palette makes it a third as large; harder packing saves a tenth in ten times the time. Made
+    # of the colours that there are, not of all pixels, it takes a fifth of the time.
+    first = np.flatnonzero(np.append(True, flat[1:] != flat[:-1]))
+    colours, which = np.unique(flat[first], return_inverse=True)
+    swatch = Image.frombytes("RGB", (len(colours), 1), colours.tobytes(), "raw", "RGBX")
+    few = swatch.quantize(256, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    places = np.repeat(np.asarray(few)[0][which], np.diff(first, append=len(flat)))
+    image = Image.fromarray(places.reshape(pixels.shape[:2]), "P")
+    image.putpalette(few.getpalette() or [])
+    image.save(packed, format="PNG", compress_level=6)
     return base64.b64encode(packed.getvalue()).decode("ascii")
 
 
