@@ -589,13 +589,13 @@ def _transfer_shells(ends, weights, amount, values, total, out):
 class OnShells(NamedTuple):
     """Cells on shells: by what weights they reach them, for all that they spread and read.
 
-    - ``count``: of the shells, beside one more for what lies beyond
+    - ``shells``: their number, beside one more for what lies beyond
     - ``distance``, (n,) µm: from the centre
     - ``ends``, (n, 2): first shell that a cell reaches, and the one after the last
     - ``weights``, (n, m): of these
     """
 
-    count: int
+    shells: int
     distance: FloatArray
     ends: NDArray[np.int64]
     weights: FloatArray
@@ -616,7 +616,7 @@ class OnShells(NamedTuple):
 
     def scatter(self, amount: FloatArray) -> FloatArray:
         """Spread an amount of each cell, (n,), over the shells: what lies beyond on the last."""
-        total, amounts = np.zeros(self.count + 1), _numbers(amount, len(self.ends), "amount")
+        total, amounts = np.zeros(self.shells + 1), _numbers(amount, len(self.ends), "amount")
         _transfer_shells(self.ends, self.weights, amounts, _NOTHING, total, total)
         total[-2] += total[-1]
         return total[:-1]
