@@ -32,7 +32,7 @@ it.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, make_dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, final
@@ -145,14 +145,13 @@ class Auto(ErrorControl):
         held = not again and known.holds(motion.begin, motion.end, self.atol)
         if again or held:
             name = tuple(CANDIDATES)[int(known.taken)]
-            order = _first(name, candidates(system))
-            choice = Choice(known.stiffness, order, known.finer, limit=known.limit)
+            choice = Choice(known.stiffness, (name,), known.finer, limit=known.limit)
         else:
             choice = self.choose(system, position)
         patience = 0 if again else self._patience(choice, len(system))
         taught, spent = choice.step, 0.0
         total = work.effort
-        for name in choice.order:
+        for name in _in_turn(choice.method, system):
             before, taken, rubbing = work.effort, work.steps, work.friction_iterations
             outcome = self.method(name, choice.part(name), patience).integrate(system, position)
             _count(system, name, taken)
@@ -398,6 +397,12 @@ def _sure(
 def _first(name: str, able: Collection[str]) -> tuple[str, ...]:
     """Return a method and those that are tried after it, as far as they can hold the scene."""
     return tuple(n for n in dict.fromkeys((name, *_STABLE, EXACT, MILD)) if n in able)
+
+
+def _in_turn(name: str, system: Mechanics) -> Iterator[str]:
+    """Yield a method and those after it, which are only asked for where it cannot continue."""
+    yield name
+    yield from _first(name, candidates(system))[1:]
 
 
 def _count(system: Mechanics, name: str, before: int) -> None:
