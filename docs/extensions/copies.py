@@ -29,7 +29,7 @@ from pathlib import Path
 
 ADDRESS = "MULTICELL_COPIES"
 """Variable with the path of the server's socket, of at most 107 bytes."""
-SERVER = "import copies; copies.serve()"
+SERVER = "import sys; sys.path[:] = filter(None, sys.path); import copies; copies.serve()"
 SIZE = struct.Struct("<Q")
 SHORT = "--set duration=20min --set initial.count=30 --set output.every=10min"
 
@@ -47,8 +47,8 @@ def ask(kind: str, arguments: list[str]) -> int:
     int
         Its exit code, or minus the number of the signal that ended it.
     """
-    task = {"kind": kind, "arguments": arguments, "folder": os.getcwd(), "variables": {**os.environ}}
-    text = json.dumps(task).encode()
+    task = {"kind": kind, "arguments": arguments, "folder": os.getcwd()}
+    text = json.dumps({**task, "variables": {**os.environ}}).encode()
     with socket.socket(socket.AF_UNIX) as server:
         server.connect(os.environ[ADDRESS])
         socket.send_fds(server, [SIZE.pack(len(text))], [0, 1, 2])
@@ -61,15 +61,19 @@ def ask(kind: str, arguments: list[str]) -> int:
 
 
 def start(folder: Path) -> subprocess.Popen[bytes]:
-    """Start the process that is copied; it ends when its input does. Set its address for others."""
+    """Start the process that is copied, and set its address for who asks.
+
+    It writes a line when all is loaded, and ends when its input does.
+    """
     os.environ[ADDRESS] = str(folder / "copies")
     paths = [str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(os.environ[ADDRESS])
         listening.listen(128)  # who asks before all is loaded waits
         return subprocess.Popen(
-            [sys.executable, "-P", "-c", SERVER, str(listening.fileno())],
+            [sys.executable, "-c", SERVER, str(listening.fileno())],
             stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
             pass_fds=[listening.fileno()],
             start_new_session=True,
@@ -99,6 +103,7 @@ def serve() -> None:
     load()
     gc.collect()
     gc.freeze()  # collectors of copies leave alone what is there
+    print("loaded", flush=True)
     with selectors.DefaultSelector() as waiting:
         listening = socket.socket(fileno=int(sys.argv[1]))
         waiting.register(listening, selectors.EVENT_READ)
@@ -189,8 +194,8 @@ def _run(kind: str) -> int:
 
             # as if matplotlib were imported in the kernel, which names the backend for pages
             matplotlib.rcParams["backend"] = "module://matplotlib_inline.backend_inline"
-            os.environ["JPY_PARENT_PID"] = str(os.getppid())  # a kernel ends after its parent
-            kernelapp.launch_new_instance()
+            # a kernel ends after its parent
+            kernelapp.launch_new_instance(parent_handle=os.getppid())
         else:
             from multicell.__main__ import run
 
@@ -201,7 +206,7 @@ def _run(kind: str) -> int:
 
 
 def _leave(code: int) -> None:
-    """End as Python does, but without taking all modules apart; libraries in C end by themselves."""
+    """End as Python does, but take no modules apart; libraries in C end by themselves."""
     threading._shutdown()
     atexit._run_exitfuncs()
     sys.stdout.flush()

@@ -90,6 +90,8 @@ def profile(app: Sphinx) -> None:
     os.environ["PATH"] = os.pathsep.join([str(command.parent), os.environ["PATH"]])
     if copies.able():
         server = copies.start(Path(folder.name))
+        # a kernel that waits longer than a minute for its start is given up
+        app.connect("env-before-read-docs", lambda *_: server.stdout.readline())
         app.connect("build-finished", lambda *_: server.communicate(), priority=400)
 
 
