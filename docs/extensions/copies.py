@@ -60,10 +60,12 @@ def ask(kind: str, arguments: list[str]) -> int:
             return int(answers.readline())
 
 
-def start(folder: Path) -> subprocess.Popen[bytes]:
+def start(folder: Path, refused: set[str]) -> subprocess.Popen[bytes]:
     """Start the process that is copied, and set its address for who asks.
 
     It writes a line when all is loaded, and ends when its input does.
+
+    - ``refused``: modules that some page must not find, which a library may load if they are there
     """
     os.environ[ADDRESS] = str(folder / "copies")
     paths = [str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]
@@ -74,7 +76,11 @@ def start(folder: Path) -> subprocess.Popen[bytes]:
             [sys.executable, "-c", SERVER, str(listening.fileno())],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+            env={
+                **os.environ,
+                "PYTHONPATH": os.pathsep.join(paths),
+                "REFUSED_MODULES": ",".join(sorted(refused)),
+            },
             pass_fds=[listening.fileno()],
             start_new_session=True,
         )

@@ -23,8 +23,10 @@ import uuid
 from pathlib import Path
 
 import copies
+from environments import KERNEL
 from jupyter_client import AsyncKernelManager
 from myst_nb.core.execute import direct
+from requirements import refused
 from sphinx.application import Sphinx
 
 STARTUP = """
@@ -89,7 +91,8 @@ def profile(app: Sphinx) -> None:
     command.chmod(0o755)
     os.environ["PATH"] = os.pathsep.join([str(command.parent), os.environ["PATH"]])
     if copies.able():
-        server = copies.start(Path(folder.name))
+        # all that no page is without: the package alone, and what makes up a kernel
+        server = copies.start(Path(folder.name), refused(["multicell", KERNEL]))
         # a kernel that waits longer than a minute for its start is given up
         app.connect("env-before-read-docs", lambda *_: server.stdout.readline())
         app.connect("build-finished", lambda *_: server.communicate(), priority=400)

@@ -12,7 +12,7 @@ import pytest
 from page_commands import PACKAGE, ROOT
 from signals import listening
 
-pytest.importorskip("ipykernel", reason="pages are built with multicell[docs]")
+pytest.importorskip("myst_nb", reason="pages are built with multicell[docs]")
 sys.path.insert(0, str(ROOT / "docs" / "extensions"))
 copies = importlib.import_module("copies")
 requirements = importlib.import_module("requirements")
@@ -35,7 +35,7 @@ def variables(tmp_path_factory):
         for name, text in requirements.variables(folder, set()).items():
             patch.setenv(name, text)
         patch.setenv(copies.ADDRESS, "")
-        server = copies.start(folder)
+        server = copies.start(folder, requirements.refused(["multicell", "myst-nb"]))
         found = {**os.environ}
     assert server.stdout.readline() == b"loaded\n"
     yield found
