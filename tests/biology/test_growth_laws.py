@@ -1,9 +1,5 @@
 """Laws by which volumes grow, ours and the user's, against closed forms and SciPy."""
 
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from running import refused
@@ -308,7 +304,7 @@ def test_failures_of_an_own_law_name_its_line():
 
 
 @pytest.mark.slow
-def test_a_scene_on_disk_runs_no_file_and_the_command_line_does(tmp_path):
+def test_a_scene_on_disk_runs_no_file_and_the_command_line_does(tmp_path, forks):
     with pytest.raises(mc.SceneError, match="which is not loaded") as caught:
         mc.load_scene("growth").with_changes({"growth.law": "mine.py:other@0123456789ab"})
     assert "--law mine.py:other" in caught.value.hint
@@ -318,14 +314,9 @@ def test_a_scene_on_disk_runs_no_file_and_the_command_line_does(tmp_path):
         "def power(volume, p):\n"
         "    return volume**p.exponent\n"
     )
-    done = subprocess.run(
-        [
-            sys.executable, "-m", "multicell", "run", "growth", "--law", "mine.py:power",
-            "--set", "growth.parameters.exponent=0.5", "--set", "duration='1 h'", "--quiet",
-            "--no-report", "-o", "out",
-        ],
-        capture_output=True, text=True, cwd=tmp_path, check=False,
-        env={"PYTHONPATH": str(Path(mc.__file__).parents[1])},
+    done = forks.multicell(
+        "run", "growth", "--law", "mine.py:power", "--set", "growth.parameters.exponent=0.5",
+        "--set", "duration='1 h'", "--quiet", "--no-report", "-o", "out", folder=str(tmp_path),
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    assert done["code"] == 0, done["text"]
     assert 'law = "mine.py:power@' in (tmp_path / "out" / "scene.toml").read_text()

@@ -39,26 +39,19 @@ def placed(tmp_path):
     return tmp_path
 
 
-def _multicell(*words, folder):
-    command = [sys.executable, "-m", "multicell", *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)
-
-
 @pytest.mark.slow
-def test_commands_take_the_file_of_a_network(placed):
-    refused = _multicell("explain", "scene.toml", folder=placed)
-    assert refused.returncode == 2
-    assert "--law mine.py:decay" in refused.stderr
+def test_commands_take_the_file_of_a_network(placed, forks):
+    def ended(*words, code=0):
+        done = forks.multicell(*words, folder=str(placed))
+        assert done["code"] == code, done["text"]
+        return done["text"]
+
+    assert "--law mine.py:decay" in ended("explain", "scene.toml", code=2)
     law = ("--law", "mine.py:decay")
-    run = _multicell("run", "scene.toml", "-o", "out", "--no-report", *law, folder=placed)
-    assert run.returncode == 0, run.stderr
-    longer = _multicell(
-        "resume", "out", "--set", "duration=1 h", "--no-report", *law, folder=placed
-    )
-    assert longer.returncode == 0, longer.stderr
-    shown = _multicell("explain", "out/scene.toml", "--json", *law, folder=placed)
-    assert shown.returncode == 0, shown.stderr
-    assert "states A" in json.dumps(json.loads(shown.stdout))
+    ended("run", "scene.toml", "-o", "out", "--no-report", *law)
+    ended("resume", "out", "--set", "duration=1 h", "--no-report", *law)
+    shown = ended("explain", "out/scene.toml", "--json", *law)
+    assert "states A" in json.dumps(json.loads(shown))
     assert mc.load_result(placed / "out").frames[-1].time == 3600.0
 
 
