@@ -233,8 +233,8 @@ def _ends(middle: float, far: float, count: int, low: bool, high: bool) -> Any:
 
     Without ``low``, ``high`` those below it, above it are left out.
     """
-    first = np.ceil(middle - far) if low else np.floor(middle)
-    last = np.floor(middle + far) if high else np.ceil(middle)
+    first = np.ceil(middle - far if low else middle)
+    last = np.floor(middle + far if high else middle)
     return max(int(first), 0), min(int(last) + 1, count)
 
 

@@ -11,8 +11,9 @@ from synthetic import cells_at
 
 import multicell as mc
 from multicell.cells import SPHERE
+from multicell.nutrient import layer
 from multicell.nutrient.balance import BALANCE_COLUMNS
-from multicell.nutrient.cartesian import Box
+from multicell.nutrient.cartesian import Box, lay
 from multicell.nutrient.equations.outside import bring
 from multicell.nutrient.fitness import _direction_notes
 from multicell.nutrient.layer import _distances, _exposed, exchange_beyond, mean_end
@@ -20,6 +21,7 @@ from multicell.report.explain.course import Profile
 from multicell.report.explain.scene import explain
 from multicell.scene.field_solvers import HELD_RATE, expected_step
 from multicell.scene.scales import MAX_UNEVEN
+from multicell.vectors import corners
 
 SHAPE = "nutrients.oxygen.margin_shape"
 
@@ -141,6 +143,23 @@ def test_distances_from_the_nearest_cell(apart, mean, most, part):
     assert abs(error.mean()) < mean
     assert np.abs(error).max() < most
     assert np.count_nonzero(exposed) <= part * len(position)
+
+
+@pytest.mark.parametrize("spacing", [10.0, 14.0], ids=["every-second-node", "every-node"])
+def test_what_is_left_out_changes_no_bits(monkeypatch, spacing):
+    """Octants of balls that other cells cover, in tissue with a hollow and in one lattice."""
+    shaken, _ = packed(110.0, 7.0)
+    hollow = shaken[(shaken**2).sum(axis=1) > 60.0**2]
+    for position in (hollow, 7.0 * np.round(shaken / 7.0)):
+        size = np.full(len(position), 4.0)
+        low, high = corners(position)
+        box = lay(low - 50.0, high + 50.0, spacing)
+        found = [exchange_beyond(box, position, position, size, 50.0)]
+        assert (found[0] == HELD_RATE).any()
+        with monkeypatch.context() as patch:
+            patch.setattr(layer, "_exposed", lambda places, *_: np.full(len(places), 255, np.uint8))
+            found.append(exchange_beyond(box, position, position, size, 50.0))
+        np.testing.assert_array_equal(*found)
 
 
 def test_the_end_moves_with_the_tissue_without_jumps():
