@@ -219,7 +219,7 @@ def pressing(owner, name, call, presses):
 
 MOMENTS = [(hdf5.Sink, "write", k) for k in (1, 2, 40, 200)] + [
     (hdf5.Sink, "flush", 1), (hdf5.Sink, "truncate", 1), (hdf5.Sink, "finish", 1),
-    (hdf5, "frame_rows", 3), (hdf5.File, "check", 1), (folder, "put_in_place", 2)]
+    (hdf5, "frame_rows", 3), (hdf5.File, "_all", 1), (folder, "put_in_place", 2)]
 for number, (owner, name, call) in enumerate(MOMENTS):
     for presses in (1, 2, 3):
         out = f"out-{number}-{presses}"
