@@ -47,7 +47,8 @@ def ask(kind: str, arguments: list[str]) -> int:
     int
         Its exit code, or minus the number of the signal that ended it.
     """
-    task = {"kind": kind, "arguments": arguments, "folder": os.getcwd()}
+    deaf = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    task = {"kind": kind, "arguments": arguments, "folder": os.getcwd(), "deaf": deaf}
     text = json.dumps({**task, "variables": {**os.environ}}).encode()
     with socket.socket(socket.AF_UNIX) as server:
         server.connect(os.environ[ADDRESS])
@@ -175,8 +176,9 @@ def _split_off(asking: socket.socket, waiting: selectors.BaseSelector) -> int:
 
 
 def _become(task: dict, streams: list[int]) -> None:
-    """Take folder, variables, arguments and streams of who asks."""
+    """Take folder, variables, arguments, streams and heed of interrupts of who asks."""
     os.setsid()
+    signal.signal(signal.SIGINT, signal.SIG_IGN if task["deaf"] else signal.default_int_handler)
     for number, stream in enumerate(streams):
         os.dup2(stream, number)
     sys.stdin = open(0, closefd=False)  # noqa: SIM115

@@ -63,9 +63,12 @@ class Comparison:
 
         What was measured, also elsewhere, may differ by as much as the comparison allows.
         """
-        for name in ("subject", "source", "kind", "theirs", "tolerance", "unit"):
+        for name in ("subject", "source", "kind", "theirs", "unit"):
             if getattr(self, name) != getattr(stored, name):
                 return name
+        # a part of a value that processors round differently
+        if not math.isclose(self.tolerance, stored.tolerance, rel_tol=1e-9):
+            return "tolerance"
         return "" if abs(self.ours - stored.ours) <= self.tolerance else "ours"
 
 
