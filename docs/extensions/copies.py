@@ -152,8 +152,13 @@ def _split_off(asking: socket.socket, waiting: selectors.BaseSelector) -> int:
         if len(head) < SIZE.size:
             asking.close()
             return 0
+        (length,) = SIZE.unpack(head)
         with asking.makefile("rb") as file:
-            task = json.loads(file.read(*SIZE.unpack(head)))
+            text = file.read(length)
+        if len(text) < length:  # who asked is gone
+            asking.close()
+            return 0
+        task = json.loads(text)
         copy = os.fork()
         if copy == 0:
             code = 1
@@ -168,7 +173,8 @@ def _split_off(asking: socket.socket, waiting: selectors.BaseSelector) -> int:
                 traceback.print_exc()
             finally:
                 _leave(code)
-        asking.sendall(f"{copy}\n".encode())
+        with contextlib.suppress(OSError):  # gone since: seen as such, and the copy is ended
+            asking.sendall(f"{copy}\n".encode())
         return copy
     finally:
         for stream in streams:

@@ -28,6 +28,7 @@ from jupyter_client import AsyncKernelManager
 from myst_nb.core.execute import direct
 from requirements import refused
 from sphinx.application import Sphinx
+from sphinx.errors import ExtensionError
 
 STARTUP = """
 def _system_that_raises():
@@ -93,8 +94,15 @@ def profile(app: Sphinx) -> None:
     if copies.able():
         # all that no page is without: the package alone, and what makes up a kernel
         server = copies.start(Path(folder.name), refused(["multicell", KERNEL]))
+
         # a kernel that waits longer than a minute for its start is given up
-        app.connect("env-before-read-docs", lambda *_: server.stdout.readline())
+        def wait(*_: object) -> None:
+            if server.stdout.readline() != b"loaded\n":
+                raise ExtensionError(
+                    "The process that commands and kernels are copies of has failed"
+                )
+
+        app.connect("env-before-read-docs", wait)
         app.connect("build-finished", lambda *_: server.communicate(), priority=400)
 
 

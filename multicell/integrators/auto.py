@@ -41,7 +41,7 @@ import numpy as np
 
 from multicell.integrators.adams_bashforth import AdaptiveAdams
 from multicell.integrators.base import ErrorControl, Integrator, MethodInfo, Outcome
-from multicell.integrators.costs import CouplingStep, Learnt
+from multicell.integrators.costs import FAINTEST, LOOK, CouplingStep, Learnt
 from multicell.integrators.cvode import Cvode
 from multicell.integrators.rkc import Rkc2
 from multicell.integrators.rosenbrock import Rosenbrock
@@ -82,6 +82,7 @@ _EXACT_TO, _STIFFEST = 1e4, 1e6
 errors were compared: they grow with λΔt, in the tiles of docs/which-integrator.md, so that it needs
 a tenth of the tolerance at 10⁵ and a hundredth at 10⁶."""
 _PRESSED = 3.0  # products of Rosenbrock's solves over CVODE's where tissue resists compression
+_FAILED = 3.0  # passes of a method that could not continue over the expected ones, at least
 _TRIALS, _RARELY = 0.02, 8
 """Part of the cost that trials of the second choice may add, and coupling steps between two."""
 
@@ -150,18 +151,20 @@ class Auto(ErrorControl):
             choice = self.choose(system, position)
         patience = 0 if again else self._patience(choice, len(system))
         taught, spent = choice.step, 0.0
-        total = work.effort
+        total = _passes(work)
         for name in _in_turn(choice.method, system):
-            before, taken, rubbing = work.effort, work.steps, work.friction_iterations
+            before, taken = _passes(work), work.steps
             outcome = self.method(name, choice.part(name), patience).integrate(system, position)
             _count(system, name, taken)
             if taught is not None:
-                passes = float(work.effort - before - (work.friction_iterations - rubbing))
+                passes, number = _passes(work) - before, _NUMBER[name]
                 expected = taught.work(name, choice.part(name))
                 expected *= _dearer(name, system.compression is not None)
-                implicit = CANDIDATES[name].info.implicit
-                known = known.counted(_NUMBER[name], passes, expected, implicit=implicit)
                 spent += passes * taught.unit(name)
+                if not outcome.done:  # its end would have taken more
+                    passes = max(passes, _FAILED * expected * math.exp(known.excess[number]))
+                implicit = CANDIDATES[name].info.implicit
+                known = known.counted(number, passes, expected, implicit=implicit)
             if outcome.done:
                 break
         if not again:
@@ -169,8 +172,8 @@ class Auto(ErrorControl):
             hold = known.hold - 1.0 if held else choice.hold
             if step is not None:
                 speed = step.motion / length if length > 0.0 else 0.0
-            elif work.effort - total > choice.limit:
-                speed, hold = 0.0 if step is None else speed, 0.0
+            if name != choice.method or _passes(work) - total > choice.limit:
+                hold = LOOK
             system.learnt = known._replace(
                 ratio=choice.ratio or known.ratio,
                 age=0.0 if choice.ratio else known.age + 1.0,
@@ -185,7 +188,7 @@ class Auto(ErrorControl):
                 finer=choice.finer,
                 stiffness=choice.stiffness,
                 hold=hold,
-                limit=choice.limit if hold else 0.0,
+                limit=choice.limit if hold > 0.0 else 0.0,
             )
         return outcome
 
@@ -195,7 +198,7 @@ class Auto(ErrorControl):
         Nothing is measured where what is known leaves no doubt about an explicit method.
         """
         glance = self._glance(system)
-        if glance.low > 0.0:
+        if glance.low > 0.0 and glance.known.hold != LOOK:
             z = math.sqrt(glance.low * glance.high)
             motions = glance.known.motions(system.motion.end - system.motion.begin)
             usual, most = motions or (_TYPICAL * z, _FURTHEST * z)
@@ -405,6 +408,11 @@ def _in_turn(name: str, system: Mechanics) -> Iterator[str]:
     yield from _first(name, candidates(system))[1:]
 
 
+def _passes(work: Work) -> float:
+    """Return the passes over all cells so far, but for those that solve for friction."""
+    return float(work.effort - work.friction_iterations)
+
+
 def _count(system: Mechanics, name: str, before: int) -> None:
     """Count the steps since ``before`` as those of a method."""
     counts = vars(system.work)
@@ -426,7 +434,7 @@ def _between(system: Mechanics, known: Learnt) -> tuple[float, float]:
 
     if len(system) < 2 and system.walls is None:
         return _NONE, _NONE
-    scale, near = stiffness_scale(system), _NEAR ** (known.age / _OLD)
+    scale, near = stiffness_scale(system), _NEAR ** min(known.age / _OLD, FAINTEST)
     gel = system.walls is not None and system.walls.shear is not None
     if gel or system.compression is not None:
         rate = known.ratio * scale if known.age < _OLD else 0.0
@@ -464,6 +472,8 @@ def _speeds(system: Mechanics, position: FloatArray) -> tuple[float, float]:
     if not len(position):
         return 0.0, 0.0
     found = squares(velocity)
+    if not math.isfinite(float(found.sum())):
+        return 0.0, 0.0
     return math.sqrt(float(found.sum()) / len(found)), math.sqrt(float(found.max()))
 
 

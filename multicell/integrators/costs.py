@@ -40,6 +40,11 @@ _NEAR: Final = 2.0
 _FORGETS: Final = 8.0
 """Coupling steps after which it may differ by the square of that."""
 
+FAINTEST: Final = 64.0
+"""Times of forgetting after which nothing is known any more: powers of it stay numbers."""
+LOOK: Final = -1.0
+"""In place of steps to hold: the next one is judged by its motion, whatever is known."""
+
 
 @cache
 def constants() -> dict[str, Any]:
@@ -102,7 +107,8 @@ class Learnt(NamedTuple):
     - ``steps``: how many these were
     - ``begin``, ``end``, s, ``atol``, µm, ``taken``, ``finer``, ``stiffness``: the last coupling
       step, the number of the method that it was given to, the part of the tolerance, and λΔt
-    - ``hold``: how many of the next ones are left to that method
+    - ``hold``: how many of the next ones are left to that method; :data:`LOOK` where the next one
+      is to be judged by its motion
     - ``limit``: passes above which they are not
     - ``first`` to ``fifth``: log(counted / expected) of each method
     """
@@ -144,7 +150,7 @@ class Learnt(NamedTuple):
 
     def motions(self, length: float) -> tuple[float, float] | None:
         """Return the motion in a coupling step as last seen, and at most, µm; or None."""
-        near = _NEAR ** (1.0 + self.seen / _FORGETS)
+        near = _NEAR ** (1.0 + min(self.seen / _FORGETS, FAINTEST))
         return (self.speed * length, self.speed * length * near) if self.speed else None
 
     def counted(self, method: int, counted: float, expected: float, *, implicit: bool) -> Learnt:

@@ -277,7 +277,6 @@ class FieldGroup:
         shares = self.kinetics is not None and self.kinetics.needs_tissue
         made_for = tuple(f.parameters for f in fields)
         here, before = (layout, position, tissue.radius), self._made_at
-        self._made_at = here
         holds = all(map(is_, here, before)) or (
             self._may_stay and not shares and self.equation.layout.kind == layout.kind
         )
@@ -286,6 +285,7 @@ class FieldGroup:
                 if f.well_mixed is not None:
                     self.equation.substances[f.name].follow(f.well_mixed.concentration)
             self.equation.place(layout, position, demand, self.radius, exchange)
+            self._made_at = here
             return
         substances = {
             f.name: substance(
@@ -304,7 +304,7 @@ class FieldGroup:
             tissue=tissue.once(tissue_share, layout, position, radius) if shares else None,
             threads=self.first.threads,
         )
-        self._made_for = made_for
+        self._made_for, self._made_at = made_for, here
         # what differs from place to place belongs to where grid and cells are
         self._may_stay = all(f.parameters.nutrient.diffusion_medium is None for f in fields)
 

@@ -18,7 +18,7 @@ JUMPS = np.where(POINTS[:, :1] > [0.3, 0.5, 0.7], 3.0, 0.0) + 0.05 * DATA.normal
 
 def test_density_far_from_runs_is_that_of_all_runs_and_at_a_run_its_own():
     found, _ = mosaic(POINTS, JUMPS, np.ones(3))
-    own = norm.logpdf(JUMPS[0], scale=1.0 / np.sqrt(1.0 - found.variances[0]))  # 1 + τ²
+    own = norm.logpdf(JUMPS[0], scale=np.sqrt(1.0 + found.variances[0]))  # 1 + τ²
     wide = norm.logpdf(JUMPS.mean(axis=0), scale=np.sqrt(1.0 + JUMPS.var(axis=0)))
     assert found.likely[0] / found.likely[-1] == pytest.approx(np.exp(own - wide))
     near, far = found.loss(np.vstack([POINTS[0], [1e3, 1e3]]))
@@ -63,6 +63,13 @@ def test_predictions_are_between_the_runs_of_both_sides():
     assert (means > JUMPS.min()).all()
     assert (means < JUMPS.max()).all()
     assert (variances[0] < 1.2 * JUMPS.var(axis=0) + 1.0).all()
+
+
+def test_a_prediction_at_a_run_is_that_run_however_far_from_its_datum():
+    """It is of the model and knows the data by its runs alone."""
+    far = 10.0 * JUMPS
+    means, _ = mosaic(POINTS, far, np.ones(3))[0].predict(POINTS)
+    np.testing.assert_allclose(means, far, atol=0.01)
 
 
 @pytest.mark.slow

@@ -1,8 +1,10 @@
 """Commands of pages as copies of one process: they answer, end and fail as processes do."""
 
 import importlib
+import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -130,6 +132,19 @@ def test_who_is_killed_takes_the_copy_along(variables, tmp_path):
     while Path(f"/proc/{copy}").exists():
         assert time.monotonic() < deadline
         time.sleep(0.02)
+    assert answer(COPY, ["scenes"], tmp_path, variables)[0] == 0
+
+
+@pytest.mark.parametrize("part", [0, 4, 8, 20, None])
+def test_who_is_killed_while_it_asks_ends_no_server(part, variables, tmp_path):
+    text = json.dumps({"kind": "command", "arguments": ["scenes"], "folder": str(tmp_path),
+                       "deaf": False, "variables": variables}).encode()  # fmt: skip
+    whole = copies.SIZE.pack(len(text)) + text
+    with socket.socket(socket.AF_UNIX) as server:
+        server.connect(variables[copies.ADDRESS])
+        with open(os.devnull, "r+b") as nowhere:
+            if said := whole[:part]:
+                socket.send_fds(server, [said], 3 * [nowhere.fileno()])
     assert answer(COPY, ["scenes"], tmp_path, variables)[0] == 0
 
 

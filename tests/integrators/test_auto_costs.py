@@ -11,6 +11,7 @@ from strategies import cluster, mechanics
 import multicell as mc
 from multicell.integrators import auto, costs
 from multicell.integrators.auto import CANDIDATES, Auto, measured_rate
+from multicell.integrators.base import Outcome
 from multicell.integrators.costs import CouplingStep, Learnt
 from multicell.mechanics.decay_rate import GLANCED, spectrum_ends
 from multicell.mechanics.jacobian import sparse_jacobian
@@ -146,12 +147,13 @@ def test_motion_that_was_seen_spares_a_look(monkeypatch):
     system.learnt = Learnt(speed=3e-5, seen=100.0)
     assert method.choose(system, position).step is not None
     assert len(looks) == 1
-    for limit, kept in ((0.0, 0.0), (1e9, 3e-5)):
+    for limit, hold in ((0.0, costs.LOOK), (1e9, spared.hold)):
         system.learnt = Learnt(speed=3e-5)
         monkeypatch.setattr(Auto, "choose", lambda *_, x=limit: replace(spared, limit=x))
         system.begin(replace(system.motion, begin=limit, end=limit + 600.0))
         assert method.integrate(system, position).done
-        assert Learnt(*system.learnt).speed == kept
+        assert Learnt(*system.learnt).hold == hold
+        assert Learnt(*system.learnt).speed == 3e-5
         assert Learnt(*system.learnt).seen == 1.0
 
 
@@ -207,7 +209,7 @@ def test_a_measured_rate_is_used_again_as_long_as_it_leaves_no_doubt(monkeypatch
         ages.append(Learnt(*system.learnt).age)
     assert 1 <= len(measured) < 10
     assert Learnt(*system.learnt).ratio > 0.0
-    assert max(ages) <= 19.0
+    assert max(ages[:-1]) > 0.0
 
 
 def test_a_step_without_length_teaches_no_speed(monkeypatch):
@@ -339,6 +341,37 @@ def test_an_old_measured_rate_says_no_more_than_none():
     assert high == pytest.approx(3.0 * none[1])
 
 
+@pytest.mark.parametrize("steps", [1e4, 1e6, 1e300])
+@pytest.mark.parametrize("known", [{}, {"ratio": 1.0, "speed": 1e-4}])
+def test_a_run_may_go_on_for_as_long_as_it_likes(known, steps):
+    position, radius, young = cluster(20, 2, spacing=0.9)
+    system = mechanics(radius, young, duration=60.0)
+    system.learnt = tuple(Learnt(**known, age=steps, seen=steps))
+    assert Auto(atol=0.1).integrate(system, position).done
+    assert Learnt(*system.learnt).taken == NUMBER["ab2-adaptive"]
+
+
+def test_a_method_that_gives_up_is_not_learnt_as_cheap(monkeypatch):
+    position, radius, young = cluster(100, 2, spacing=0.9)
+    system = mechanics(radius, young, duration=60.0)
+    system.learnt = tuple(Learnt(hold=costs.LOOK))
+    gave_up = []
+
+    def integrate(method, system, position):
+        gave_up.append(1)
+        return Outcome(system.motion.begin, position.copy(), "gave up")
+
+    monkeypatch.setattr(CANDIDATES["ab2-adaptive"], "integrate", integrate)
+    outcome = Auto(atol=0.1).integrate(system, position)
+    assert outcome.done
+    assert gave_up
+    known = Learnt(*system.learnt)
+    assert known.excess[NUMBER["ab2-adaptive"]] > 0.3
+    assert CANDIDATES["ab2-adaptive"] is not list(CANDIDATES.values())[int(known.taken)]
+    # what the first would have been held for is none of the next one's
+    assert known.hold == costs.LOOK
+
+
 def test_a_measured_rate_of_compressed_tissue_counts_for_some_steps():
     """Before and after that, only a measurement gives it; of one cell alone it is nothing."""
     system = mechanics(np.full(20, 5.0), np.ones(20), duration=60.0)
@@ -356,7 +389,7 @@ def test_a_measured_rate_of_compressed_tissue_counts_for_some_steps():
 def test_what_is_sure_at_a_glance_is_held_for_some_steps(monkeypatch):
     """Of the same length and tolerance, as long as none is dearer than it could be."""
     position, radius, young = cluster(100, 2, spacing=0.9)
-    glances, chosen = [], Auto.choose
+    glances, chosen, moved = [], Auto.choose, Auto.by_motion
     monkeypatch.setattr(Auto, "choose", lambda *args: glances.append(1) or chosen(*args))
 
     def passed(steps, begin=0.0, length=60.0, atol=0.1, learnt=()):
@@ -383,4 +416,8 @@ def test_what_is_sure_at_a_glance_is_held_for_some_steps(monkeypatch):
     assert not glances
     dear = passed(1, begin=540.0, learnt=tuple(known._replace(limit=1.0)))
     assert not glances
-    assert dear.hold == dear.speed == 0.0
+    assert dear.hold == costs.LOOK
+    looks = []
+    monkeypatch.setattr(Auto, "by_motion", lambda *args: looks.append(1) or moved(*args))
+    assert passed(1, begin=600.0, learnt=tuple(dear)).hold >= 0.0
+    assert len(glances) == len(looks) == 1

@@ -43,7 +43,7 @@ class Mosaic:
     - ``inverse``, (k, k): of the covariance of the points
     - ``likely``, (k + 1, n): density of each datum in the tile of each run, and in one without a
       run, over the largest
-    - ``means``, ``variances``, (k + 1, n): of readings there, given the datum; in σ from it
+    - ``means``, ``variances``, (k + 1, n): of readings there, in σ from the datum
     """
 
     points: Array
@@ -59,11 +59,10 @@ class Mosaic:
         return np.asarray(-2.0 * np.log(density + _FLOOR).sum(axis=1))
 
     def predict(self, shares: Array) -> tuple[Array, Array]:
-        """Return (mean - datum) / σ and its variance, given the data, for parameters (k, d)."""
+        """Return (mean - datum) / σ and its variance for parameters (k, d): (k, n) each."""
         weights = self._weights(shares)
-        total = weights @ self.likely + _FLOOR
-        means = weights @ (self.likely * self.means) / total
-        squares = weights @ (self.likely * (self.means**2 + self.variances)) / total
+        means = weights @ self.means
+        squares = weights @ (self.means**2 + self.variances)
         return means, np.maximum(squares - means**2, 0.0)
 
     def _weights(self, shares: Array) -> Array:
@@ -90,32 +89,38 @@ def mosaic(points: Array, residuals: Array, others: Array) -> tuple[Mosaic, Arra
     - ``others``, (n,): variance of datum and scatter, in σ²
     """
     centre, width = residuals.mean(axis=0), residuals.var(axis=0) + 1e-9
-    away = residuals[:, None] - residuals
-    tiles = np.array([_normal(away, others + t**2) for t in _WITHIN])
     beyond = _normal(residuals - centre, width + others)
 
-    def scored(lengths: Array) -> tuple[Array, Array]:
-        """Return ln of the densities, (k, n), and the likeliest τ, (n,)."""
-        inverse = _inverse(points / lengths)
-        weights = _with_rest(np.eye(len(points)) - inverse / np.diag(inverse)[:, None])
-        found = np.einsum("ij,tijn->tin", weights[:, :-1], tiles) + weights[:, -1:] * beyond
-        found = np.log(found + _FLOOR)
-        best = found.sum(axis=1).argmax(axis=0)
-        return found[best, :, np.arange(len(best))].T, _WITHIN[best]
+    def scored(trials: list[Array]) -> tuple[Array, Array]:
+        """Return ln of the densities by lengths of tiles, (m, k, n), and the likeliest τ, (m, n).
 
-    trials = [np.full(points.shape[1], length) for length in _LENGTHS]
-    lengths = max(trials, key=lambda tried: scored(tried)[0].sum())
+        One datum after another: all would be many times the runs' square.
+        """
+        found = np.empty((len(trials), *residuals.shape))
+        within = np.empty((len(trials), len(others)))
+        weights = np.array([_left_out(points / lengths) for lengths in trials])
+        for k, (column, error) in enumerate(zip(residuals.T, others, strict=True)):
+            tiles = _normal((column[:, None] - column)[..., None], error + _WITHIN**2)
+            density = np.einsum("mij,ijt->mit", weights[..., :-1], tiles)
+            logs = np.log(density + weights[..., -1:] * beyond[:, k : k + 1] + _FLOOR)
+            best = logs.sum(axis=1).argmax(axis=1)
+            found[..., k] = logs[np.arange(len(trials)), :, best]
+            within[:, k] = _WITHIN[best]
+        return found, within
+
+    def best_of(trials: list[Array]) -> Array:
+        return trials[int(scored(trials)[0].sum(axis=(1, 2)).argmax())]
+
+    lengths = best_of([np.full(points.shape[1], length) for length in _LENGTHS])
     for k in range(len(lengths)):  # longer along parameters that move no edge
-        trials = [np.where(np.arange(len(lengths)) == k, x, lengths) for x in _LENGTHS]
-        lengths = max(trials, key=lambda tried: scored(tried)[0].sum())
-    scores, within = scored(lengths)
+        lengths = best_of([np.where(np.arange(len(lengths)) == k, x, lengths) for x in _LENGTHS])
+    (scores,), (within,) = scored([lengths])
     own = np.vstack([np.tile(within**2, (len(points), 1)), width])
     at = np.vstack([residuals, centre])
-    known = others / (own + others)
     inverse = _inverse(points / lengths)
     logs = -0.5 * (at**2 / (own + others) + np.log(own + others))
     likely = np.exp(logs - logs.max(axis=0))
-    found = Mosaic(points / lengths, lengths, inverse, likely, at * known, own * known)
+    found = Mosaic(points / lengths, lengths, inverse, likely, at, own)
     return found, scores
 
 
@@ -149,6 +154,12 @@ def _inverse(points: Array) -> Array:
     """Return the inverse of the covariance of points, (k, k)."""
     covariance = np.exp(-_distances(points, points)) + _NUGGET * np.eye(len(points))
     return np.asarray(np.linalg.inv(covariance), dtype=np.float64)
+
+
+def _left_out(points: Array) -> Array:
+    """Return probabilities at each point of the tiles of all others, and of none, (k, k + 1)."""
+    inverse = _inverse(points)
+    return _with_rest(np.eye(len(points)) - inverse / np.diag(inverse)[:, None])
 
 
 def _with_rest(weights: Array) -> Array:
