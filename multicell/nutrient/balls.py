@@ -609,7 +609,8 @@ class OnShells(NamedTuple):
         radii = _radii(radius, len(away))
         _, widest = _least_and_most(radii)
         ends = np.empty((len(away), 2), dtype=np.int64)
-        weights = np.empty((len(away), int(2.0 * math.hypot(widest / spacing, 0.75)) + 4))
+        reached = min(int(2.0 * math.hypot(widest / spacing, 0.75)) + 4, count + 1)
+        weights = np.empty((len(away), reached))
         if _weigh(away, radii, count, spacing, ends, weights) >= 0:
             raise ValueError("a position lies outside the nutrient grid")
         return cls(count, away, ends, weights)

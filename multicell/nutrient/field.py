@@ -106,7 +106,9 @@ class NutrientField:
           diffusion differs outside tissue, and for shells
         """
         demand = {self.name: (capacity, production)}
-        return self.group.solve(Tissue(position, radius), demand, time=time)[self.name]
+        # a caller may write into its arrays; what is kept of a tissue goes by which arrays it has
+        tissue = Tissue(np.array(position), None if radius is None else np.array(radius))
+        return self.group.solve(tissue, demand, time=time)[self.name]
 
     @property
     def group(self) -> FieldGroup:

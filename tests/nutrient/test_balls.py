@@ -117,6 +117,10 @@ def test_shells_keep_amounts_and_read_what_they_spread():
     assert total.sum() == pytest.approx(amount.sum(), rel=1e-13)
     read = cells.gather(values, values[-1])
     assert total @ values == pytest.approx(amount @ read, rel=1e-12)
+    # a cell as wide as all shells takes no more than one weight for each
+    wide = OnShells.at(15, 4.0, away, np.append(radius[:-1], 500.0))
+    assert wide.weights.shape == (200, 16)
+    assert wide.scatter(amount).sum() == pytest.approx(amount.sum(), rel=1e-13)
     # evenly filled space has an even density, in the innermost shell too
     layout = ShellLayout(np.zeros(3), 2.0, 20)
     grid = np.arange(-39.0, 40.0, 2.0)

@@ -134,6 +134,21 @@ def test_shifted_cells_get_the_shifted_field():
     np.testing.assert_allclose(second.sample(there), first.sample(position), rtol=1e-9)
 
 
+@pytest.mark.parametrize("changes", [{}, {"diffusion_medium": 2600.0}])
+def test_cells_may_be_written_into_after_a_solve(changes):
+    """In the arrays of the solve before; what is kept of these says nothing then."""
+    position, capacity = ball(40.0)
+    radius = np.full(len(position), 5.0)
+    written, fresh = oxygen(**changes), oxygen(**changes)
+    written.solve(position, capacity, radius=radius)
+    fresh.solve(position.copy(), capacity, radius=radius.copy())
+    position[: len(position) // 2] *= 0.3
+    radius *= 0.8
+    written.solve(position, capacity, radius=radius)
+    fresh.solve(position.copy(), capacity, radius=radius.copy())
+    assert written.values.tobytes() == fresh.values.tobytes()
+
+
 def test_no_cells_leave_the_medium():
     field = oxygen()
     report = field.solve(np.empty((0, 3)), np.empty(0))
