@@ -2,10 +2,12 @@
 
 Problem   growing cells in rich medium for an hour, one evaluation of forces, a neighbour list, the
           first and the second command, coupling steps of few cells with a field, steady fields,
-          a run of a study beside a bare one, a spheroid of EMT6 cells to 244,836 cells
+          a run of a study beside a bare one, a secreted field that changes, a spheroid of EMT6
+          cells to 244,836 cells
 Measured  wall time and CPU time of all processes of each row, and peak memory, in a process of its
-          own for each checkout and round; rounds alternate, so that a busy machine is as busy for
-          both. Printed: medians, and the ratios of the second checkout to the first.
+          own for each checkout and round; rounds alternate, every other one in reverse order, so
+          that a busy machine is as busy for both. Printed: medians, and of the ratios of the rounds
+          (second checkout to first) the median and, in brackets, the smallest and the largest.
 Separated compilation and start: each row runs once in each checkout before it is measured, but for
           the first command, whose cache is empty
 Cost      some minutes a round without a million cells and without `emt6`
@@ -104,6 +106,15 @@ scene = mc.load_scene(%r).with_changes({"stop_cells": 244_836, "duration": "40 d
 with measured(1):
     mc.run(scene, threads=2)
 """
+SECRETED = """
+scene = mc.load_scene("sorting-signal")
+name = next(iter(scene.nutrients))
+changes = {"decay": "0.001 1/s", "margin": "300 um", "regime": "transient"}
+changes = {f"nutrients.{name}.{key}": value for key, value in changes.items()}
+scene = scene.with_changes({**changes, "initial.count": 360, "duration": "35 min"})
+with measured(1):
+    mc.run(scene, threads=1)
+"""
 STUDY = """
 import tempfile
 scene = mc.load_scene("growth").with_changes({"duration": "1 h", "output.every": "1 h"})
@@ -134,6 +145,7 @@ ROWS = {
     "field-128": FIELD % 5.0,
     "study-run": STUDY,
     "bare-run": BARE,
+    "secreted": SECRETED,
     "emt6": EMT6 % str(Path(__file__).parents[2] / "docs" / "rich-medium.toml"),
 }
 COMMANDS = {"first-command": "20 d", "second-command": "10 min"}  # and what is simulated
@@ -197,16 +209,25 @@ def main() -> None:
         found: list[list[dict[str, float]]] = [[], []]
         warm = 0 if row == "first-command" else 1
         for turn in range(given.rounds + warm):
-            for tree, values in zip(trees, found, strict=True):
-                value = measure(row, tree)
+            for side in (0, 1) if turn % 2 else (1, 0):
+                value = measure(row, trees[side])
                 if turn >= warm:
-                    values.append(value)
+                    found[side].append(value)
         cells = [row]
         for key in ("wall", "CPU", "memory"):
-            before, after = (median(value[key] for value in values) for values in found)
-            ratio = f"{after / before:.2f}" if before > 0.0 else ""
+            values = [[value[key] for value in side] for side in found]
+            ratio = _ratio(*values)
+            before, after = (median(side) for side in values)
             cells += [ratio] if key == "memory" else [f"{before:.4g} s", f"{after:.4g} s", ratio]
         print(f"| {' | '.join(cells)} |", flush=True)
+
+
+def _ratio(before: list[float], after: list[float]) -> str:
+    """Return the median of the ratios of rounds, and in brackets the smallest and the largest."""
+    if not all(before):  # a command, whose memory is not measured
+        return ""
+    ratios = [new / old for old, new in zip(before, after, strict=True)]
+    return f"{median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
 
 
 if __name__ == "__main__":
