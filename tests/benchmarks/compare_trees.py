@@ -35,7 +35,7 @@ scene = mc.load_scene("spheroid").with_changes({
     **{f"nutrients.oxygen.{key}": value / 8.0 for key, value in oxygen.items()}})
 run = mc.Simulation(scene, threads=%d)
 run.step()
-with measured(1):
+with measured(1, run.wall):
     for _ in range(6):
         run.step()
 """
@@ -45,7 +45,7 @@ scene = mc.load_scene("spheroid").with_changes(
 run = mc.Simulation(scene, threads=1)
 for _ in range(5):
     run.step()
-with measured(30):
+with measured(30, run.wall):
     for _ in range(30):
         run.step()
 """
@@ -106,6 +106,15 @@ scene = mc.load_scene(%r).with_changes({"stop_cells": 244_836, "duration": "40 d
 with measured(1):
     mc.run(scene, threads=2)
 """
+EMT6_STEPS = """
+scene = mc.load_scene(%r).with_changes({"initial.count": %d, "stop_cells": 244_836})
+run = mc.Simulation(scene, threads=2)
+for _ in range(2):
+    run.step()
+with measured(4, run.wall):
+    for _ in range(4):
+        run.step()
+"""
 SECRETED = """
 scene = mc.load_scene("sorting-signal")
 name = next(iter(scene.nutrients))
@@ -131,6 +140,7 @@ with measured(30):
     for seed in range(30):
         mc.run(scene.with_changes({"seed": seed}), threads=1)
 """
+_RICH = Path(__file__).parents[2] / "docs" / "rich-medium.toml"
 ROWS = {
     "hour": HOUR % (100_000, 2),
     "hour-one-thread": HOUR % (100_000, 1),
@@ -146,20 +156,22 @@ ROWS = {
     "study-run": STUDY,
     "bare-run": BARE,
     "secreted": SECRETED,
-    "emt6": EMT6 % str(Path(__file__).parents[2] / "docs" / "rich-medium.toml"),
+    "emt6": EMT6 % str(_RICH),
+    "emt6-40000": EMT6_STEPS % (str(_RICH), 40_000),
 }
 COMMANDS = {"first-command": "20 d", "second-command": "10 min"}  # and what is simulated
 AROUND = """
 import contextlib, json, os, resource, time
 import multicell as mc
 @contextlib.contextmanager
-def measured(times):
+def measured(times, parts={}):
     used = lambda: sum(os.times()[:4])  # and of processes that have ended
-    wall, cpu = time.perf_counter(), used()
+    begun, wall, cpu = dict(parts), time.perf_counter(), used()
     yield
     cpu, wall = used() - cpu, time.perf_counter() - wall
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    print(json.dumps({"wall": wall / times, "CPU": cpu / times, "memory": 1e3 * memory}))
+    spent = {f"part {name}": (took - begun[name]) / times for name, took in parts.items()}
+    print(json.dumps({"wall": wall / times, "CPU": cpu / times, "memory": 1e3 * memory, **spent}))
 """
 
 
@@ -201,6 +213,7 @@ def main() -> None:
     names = [*ROWS, *COMMANDS]
     usual = [name for name in names if "million" not in name and name != "emt6"]
     parser.add_argument("--rows", nargs="+", choices=names, default=usual)
+    parser.add_argument("--parts", action="store_true", help="the parts of coupling steps as well")
     given = parser.parse_args()
     trees = [given.before.resolve(), given.after.resolve()]
     print("| row | wall before | after | ratio | CPU before | after | ratio | memory ratio |")
@@ -220,11 +233,16 @@ def main() -> None:
             before, after = (median(side) for side in values)
             cells += [ratio] if key == "memory" else [f"{before:.4g} s", f"{after:.4g} s", ratio]
         print(f"| {' | '.join(cells)} |", flush=True)
+        if given.parts:
+            for part in (key for key in found[1][0] if key.startswith("part ")):
+                values = [[value.get(part, 0.0) for value in side] for side in found]
+                before, after = (1e3 * median(side) for side in values)
+                print(f"|   {part} | {before:.3f} ms | {after:.3f} ms | {_ratio(*values)} |")
 
 
 def _ratio(before: list[float], after: list[float]) -> str:
     """Return the median of the ratios of rounds, and in brackets the smallest and the largest."""
-    if not all(before):  # a command, whose memory is not measured
+    if not all(before):  # the memory of a command, a part that the first checkout does not have
         return ""
     ratios = [new / old for old, new in zip(before, after, strict=True)]
     return f"{median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
