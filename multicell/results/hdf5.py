@@ -267,11 +267,7 @@ def _storage(chunks: tuple[int, ...]) -> Any:
     return settings
 
 
-@cache
-def _type(dtype: Any) -> Any:
-    return h5py.h5t.py_create(dtype, logical=True)
-
-
+_type = cache(h5py.h5t.py_create)
 _TEXT, _SCALAR = h5py.string_dtype(), h5py.h5s.create(h5py.h5s.SCALAR)
 _PARENTS: Final = h5py.h5p.create(h5py.h5p.LINK_CREATE)
 _PARENTS.set_create_intermediate_group(True)
@@ -297,8 +293,8 @@ def _create(
 
 def _attach(owner: Any, name: str, value: Any) -> None:
     """Give one of h5py's inner objects a scalar attribute."""
-    kind = _type(value.dtype)
-    h5py.h5a.create(owner, name.encode(), kind, _SCALAR).write(np.asarray(value), kind)
+    made = h5py.h5a.create(owner, name.encode(), _type(value.dtype, logical=True), _SCALAR)
+    made.write(np.asarray(value), _type(value.dtype))
 
 
 def _describe(owner: Any, **values: Any) -> None:
@@ -599,9 +595,12 @@ class _Columns:
     def __init__(self, file: Any, ahead: int = _AHEAD) -> None:
         self._file, self._ahead = file.id, ahead
         self._known: dict[str, _Column] = {}
+        self._there: dict[str, bool] = {}
 
     def __contains__(self, path: str) -> bool:
-        return path in self._known or path.encode() in self._file
+        if path not in self._there:  # h5py's own answer goes to every group on the way
+            self._there[path] = self._file.links.exists(path.encode())
+        return self._there[path]
 
     def __getitem__(self, path: str) -> _Column:
         if path not in self._known:
@@ -636,7 +635,7 @@ class _Column:
         rows = max(0, min(end, len(self)) - begin)
         found = np.empty((rows, *self._shape[1:]), self._type)
         if rows == len(self) and found.size:
-            self._rows.read(h5py.h5s.ALL, h5py.h5s.ALL, found)
+            self._rows.read(h5py.h5s.ALL, h5py.h5s.ALL, found, _type(self._type))
         elif found.size:
             space = self._rows.get_space()
             space.select_hyperslab((begin, *(0 for _ in self._shape[1:])), found.shape)

@@ -48,6 +48,7 @@ from multicell.studies.workers import (
 )
 
 if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
     from multicell.simulation import Simulation
     from multicell.studies.runs import StudyRun
 
@@ -115,13 +116,18 @@ def run_study(
         else:
             report(known)
     ordered = [run for _, run in sorted(left, key=lambda entry: -entry[0])]
-    tasks = [Task(run.name, str(folder), PlainScene.of(run.scene), retry) for run in ordered]
     short = not any(run.expected > _SHORT for run in ordered)
-    if tasks:
+    if ordered:
         check_cores(cores)
         wanted = own_cores() if scheduler is None and cores is None else cores
-        most = None if wanted is None else min(wanted, len(tasks))
-        if scheduler is None and most == 1 and short:
+        most = None if wanted is None else min(wanted, len(ordered))
+        here = scheduler is None and most == 1 and short
+        plain = (run.scene if here else PlainScene.of(run.scene) for run in ordered)
+        tasks = [
+            Task(run.name, str(folder), scene, retry)
+            for run, scene in zip(ordered, plain, strict=True)
+        ]
+        if here:
             _do_here(tasks, report)
         else:
             _do_there(tasks, folder, most, scheduler, report)
@@ -362,12 +368,13 @@ class Task:
     """A run as it travels to a worker: plain values only.
 
     - ``folder``: of the study
+    - ``scene``: as it is where this process does the run
     - ``retry``: whether a run that failed, or whose folder is damaged, is tried again
     """
 
     name: str
     folder: str
-    scene: PlainScene
+    scene: PlainScene | Scene
     retry: bool
 
 
@@ -453,7 +460,7 @@ def _forward(work: Task, place: Path, found: RunStatus, wanted: Callable[[], boo
         if not wanted():
             raise Stopped
 
-    scene = work.scene.load()
+    scene = work.scene.load() if isinstance(work.scene, PlainScene) else work.scene
     if not wanted():
         raise Stopped
     options = runner.RunOptions(output=place, threads=1, progress=between)
