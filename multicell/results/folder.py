@@ -148,8 +148,11 @@ def refuse_results(folder: Path, *, overwrite: bool) -> list[str]:
     return held
 
 
-def make_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
-    """Make an output folder, or refuse one that holds something and may not be overwritten."""
+def make_folder(folder: str | Path, *, overwrite: bool = False, synced: bool = True) -> Path:
+    """Make an output folder, or refuse one that holds something and may not be overwritten.
+
+    - ``synced``: whether its name is on the disk itself when this returns
+    """
     folder = Path(folder)
     with file_errors("use the output folder", folder):
         if folder.is_symlink() and not folder.exists():
@@ -160,7 +163,7 @@ def make_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
             raise OutputError(f"output '{folder}' is a file, not a folder")
         new = [place for place in (folder, *folder.parents) if not place.exists()]
         folder.mkdir(parents=True, exist_ok=True)
-        for place in new:
+        for place in new if synced else ():
             sync_folder(place.parent)
     held = refuse_results(folder, overwrite=overwrite)
     if held and folder.is_symlink():

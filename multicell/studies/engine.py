@@ -463,7 +463,7 @@ def _forward(work: Task, place: Path, found: RunStatus, wanted: Callable[[], boo
     scene = work.scene.load() if isinstance(work.scene, PlainScene) else work.scene
     if not wanted():
         raise Stopped
-    options = runner.RunOptions(output=place, threads=1, progress=between)
+    options = runner.RunOptions(output=place, threads=1, progress=between, brief=True)
     if found.frames and found.kind != "damage":
         remove(place, [NOTE])
         runner.record_resumed(place, options, planned=True)
