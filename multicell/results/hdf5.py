@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache, lru_cache, partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import IO, Any, Final, final
 
 import h5py
@@ -590,11 +591,14 @@ class _Columns:
     HDF5 takes as long to find a few rows as to read many, and h5py's objects longer than either.
 
     - ``ahead``: bytes of a data set that are read at once
+    - ``sets``: kinds of data sets by path, of which only the types are asked for
     """
 
-    def __init__(self, file: Any, ahead: int = _AHEAD) -> None:
-        self._file, self._ahead = file.id, ahead
-        self._known: dict[str, _Column] = {}
+    def __init__(
+        self, file: Any, ahead: int = _AHEAD, sets: Mapping[str, DatasetKind] = MappingProxyType({})
+    ) -> None:
+        self._file, self._ahead, self._sets = file.id, ahead, sets
+        self._known: dict[str, _Column | NDArray[Any]] = {}
         self._there: dict[str, bool] = {}
 
     def __contains__(self, path: str) -> bool:
@@ -602,10 +606,25 @@ class _Columns:
             self._there[path] = self._file.links.exists(path.encode())
         return self._there[path]
 
-    def __getitem__(self, path: str) -> _Column:
-        if path not in self._known:
-            self._known[path] = _Column(h5py.h5d.open(self._file, path.encode()), self._ahead)
-        return self._known[path]
+    def __getitem__(self, path: str) -> _Column | NDArray[Any]:
+        found = self._known.get(path)
+        if found is None:
+            rows = h5py.h5d.open(self._file, path.encode())
+            shape = rows.shape
+            kind = np.dtype(self._sets[path].dtype) if path in self._sets else rows.dtype
+            if kind.itemsize * math.prod(shape) <= self._ahead:
+                found = np.empty(shape, kind)
+                if found.size:
+                    rows.read(h5py.h5s.ALL, h5py.h5s.ALL, found, _type(kind))
+            else:
+                found = _Column(rows, self._ahead)
+            self._known[path] = found
+        return found
+
+    def whole(self, path: str) -> NDArray[Any]:
+        """Return all rows of a data set."""
+        found = self[path]
+        return found.whole() if isinstance(found, _Column) else found
 
 
 @final
@@ -681,8 +700,8 @@ class File:
             sets = {f"history/{name}": of_rows("<f8") for name in self.columns}
             sets |= {"scene": of_rows("|u1"), **known}
             lengths = {} if own else _check_sets(path, file, sets)
-            columns = _Columns(file)
-            shared = {name: columns[name].whole() for name in ("scene", *_shared(known))}
+            columns = _Columns(file, sets=sets)
+            shared = {name: columns.whole(name) for name in ("scene", *_shared(known))}
             if array_digest(shared) != int(_attribute(file, "digest")):
                 problem = "its scene, index or lineage is not what was written"
                 raise _damage(path, f"{problem}. Nothing in it can be read")
@@ -715,7 +734,7 @@ class File:
             return self._history(file, _Columns(file))
 
     def _history(self, file: Any, columns: _Columns) -> dict[str, NDArray[np.float64]]:
-        found = {name: columns[f"history/{name}"].whole() for name in self.columns}
+        found = {name: columns.whole(f"history/{name}") for name in self.columns}
         if array_digest(found) != int(_attribute(file["history"], "digest")):
             problem = f"the history in '{self.path}' is not what was written"
             raise OutputError(problem, damaged=True)

@@ -147,7 +147,7 @@ class Store:
 
     def _begin(self) -> None:
         """Write the scene, and a journal with the records so far."""
-        write_text(self.folder / "scene.toml", self.scene)
+        write_text(self.folder / "scene.toml", self.scene, synced=False)
         (header, _), *records = self._early
         journal = Journal.create(self.folder, header)
         self._held.callback(journal.close)
@@ -269,7 +269,7 @@ class Store:
         self.flush()
         if self._journal is None:
             with suppress(OutputError):  # said where the journal meets it, too
-                write_text(self.folder / "scene.toml", self.scene)
+                write_text(self.folder / "scene.toml", self.scene, synced=False)
                 hdf5.write_hdf5(self.folder / hdf5.FRAMES_FILE, *self._results())
                 return
             self._begin()

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 from multicell.errors import ClusterError, ExitCode, MulticellError, OutputError, exit_code_of
 from multicell.host.call_stack import call_with_room
+from multicell.host.garbage import without_what_there_is
 from multicell.host.interrupts import WHOLE_STEP
 from multicell.plugins.named import own_fault
 from multicell.results.folder import (
@@ -157,7 +158,7 @@ def _do_there(
 
 def _do_here(tasks: Sequence[Task], report: Callable[[RunOutcome], None]) -> None:
     """Do tasks in this process; wait in the end for those that other processes have."""
-    with WHOLE_STEP:
+    with WHOLE_STEP, without_what_there_is():
         while tasks:
             held = []
             for work in tasks:
