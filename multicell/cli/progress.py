@@ -242,6 +242,8 @@ class _Clock:
         self._forecast = Forecast.of(self._scene)
         few = {"neighbour lists"} if self._forecast.cells < LISTS_FROM else set()
         self._missing = {part: s for part, s in missing.items() if part not in few}
+        if not self._missing:
+            return []
         cells, run = self._forecast.cells, self._forecast.cost[-1]
         seconds = sum(self._missing.values())
         return [
