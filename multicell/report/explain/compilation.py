@@ -39,8 +39,11 @@ def missing_parts(scene: Scene) -> dict[str, float]:
     """Return the parts without code on disk, and the seconds that each is expected to take."""
     found = {}
     absent = {"fields"} if not scene.nutrients else set()
-    if _most_cells(scene) < LISTS_FROM:
+    most = _most_cells(scene)
+    if most < LISTS_FROM:
         absent.add("neighbour lists")
+    if most < 2.0 and scene.motility is None and not scene.chemotaxis:
+        absent |= {"motion", "forces"}
     for part, (module, kernel, seconds) in _LANDMARKS.items():
         if part not in absent and not _is_compiled(module, kernel):
             found[part] = seconds
