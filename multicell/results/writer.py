@@ -30,8 +30,8 @@ Layout of ``frames.h5`` for k frames and m history rows::
     /history/<column> (m)
     /scene                           bytes of ``scene.toml``
 
-All is compressed by filters that every HDF5 has (shuffle, gzip). A frame is compared with its
-checksum whenever it is read.
+Large data sets are compressed by filters that every HDF5 has (shuffle, gzip), small ones are part
+of their headers. A frame is compared with its checksum whenever it is read.
 
 It is an ordinary file without links to others: h5py, pandas and xarray open it, and a copy of it is
 complete. The attributes ``identity`` and ``absorbed`` distinguish it from its journals, ``digest``
@@ -270,7 +270,8 @@ class Store:
         if self._journal is None:
             with suppress(OutputError):  # said where the journal meets it, too
                 write_text(self.folder / "scene.toml", self.scene, synced=False)
-                hdf5.write_hdf5(self.folder / hdf5.FRAMES_FILE, *self._results())
+                # there is no journal to remove: names come with that of the summary, in their order
+                hdf5.write_hdf5(self.folder / hdf5.FRAMES_FILE, *self._results(), synced=False)
                 return
             self._begin()
         assert self._journal is not None
@@ -290,7 +291,7 @@ class Store:
             (self.folder / JOURNAL).unlink()  # one that comes back by a loss of power is known
 
     def _results(self) -> tuple[Any, ...]:
-        """Return what a journal of the records so far would give for ``frames.h5``."""
+        """Return the content of ``frames.h5`` by the records so far."""
         found: dict[str, list[Arrays]] = {"open": [], "rows": [], "lineage": [], "frame": []}
         for header, arrays in self._early:
             found[header["kind"]].append(arrays)

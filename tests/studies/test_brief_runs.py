@@ -68,7 +68,7 @@ def test_frames_that_cannot_be_written_at_the_end_are_kept_in_a_journal(
 ):
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    def refused(*given):
+    def refused(*given, **how):
         raise OutputError("cannot write frames.h5") from full
 
     run = run_of(SCENE)
