@@ -155,16 +155,17 @@ def make_folder(folder: str | Path, *, overwrite: bool = False, synced: bool = T
     """
     folder = Path(folder)
     with file_errors("use the output folder", folder):
-        if folder.is_symlink() and not folder.exists():
-            raise OutputError(
-                f"output '{folder}' is a link to '{folder.readlink()}' that is missing"
-            )
-        if folder.exists() and not folder.is_dir():
-            raise OutputError(f"output '{folder}' is a file, not a folder")
-        new = [place for place in (folder, *folder.parents) if not place.exists()]
-        folder.mkdir(parents=True, exist_ok=True)
-        for place in new if synced else ():
-            sync_folder(place.parent)
+        if not folder.is_dir():
+            if folder.exists():
+                raise OutputError(f"output '{folder}' is a file, not a folder")
+            if folder.is_symlink():
+                raise OutputError(
+                    f"output '{folder}' is a link to '{folder.readlink()}' that is missing"
+                )
+            new = [place for place in (folder, *folder.parents) if not place.exists()]
+            folder.mkdir(parents=True, exist_ok=True)
+            for place in new if synced else ():
+                sync_folder(place.parent)
     held = refuse_results(folder, overwrite=overwrite)
     if held and folder.is_symlink():
         raise OutputError(

@@ -236,7 +236,7 @@ def _fill(
     frames: Iterable[tuple[Arrays, int, Arrays]],
     history: Mapping[str, NDArray[np.float64]],
 ) -> None:
-    target.create_group("fields")
+    h5py.h5g.create(target.id, b"fields")
     text = np.frombuffer(scene.encode(), "|u1")
     _create(target, "scene", of_rows("|u1"), text)
     for frame in frames:

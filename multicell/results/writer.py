@@ -141,18 +141,22 @@ class Store:
             store = cls(folder, text, None, tuple(scene.nutrients), stack)
             store._early.append((_first_record(text, store._nutrients, "", 0, 0), {}))
             if not brief:
-                store._begin()
+                store._begin(late=False)
             store._held = stack.pop_all()
             return store
 
-    def _begin(self) -> None:
-        """Write the scene, and a journal with the records so far."""
+    def _begin(self, *, late: bool = True) -> None:
+        """Write the scene, and a journal with the records so far.
+
+        - ``late``: whether the folder was made without waiting for the disk
+        """
+        if late:
+            sync_folder(self.folder.parent)
         write_text(self.folder / "scene.toml", self.scene, synced=False)
         (header, _), *records = self._early
         journal = Journal.create(self.folder, header)
         self._held.callback(journal.close)
         if records:
-            sync_folder(self.folder.parent)
             journal.append(records)
             journal.sync()
         self._journal = journal

@@ -33,6 +33,7 @@ from multicell.results.folder import (
     in_use,
     lock_folder,
     remove,
+    sync_folder,
 )
 from multicell.studies.limits import check_cores
 from multicell.studies.runs import PlainScene
@@ -59,6 +60,7 @@ _POLL: Final = 0.2  # s between checks for Ctrl-C
 _RECOUNT: Final = 2.0  # s between counts of workers
 _RECHECK: Final = 1.0  # s between checks of runs that another process does
 _MAX_STOP: Final = 60.0  # s that runs have to end between two steps
+_SYNC: Final = 1.0  # s after which the names of folders are on the disk itself
 _SHORT: Final = 10.0
 """Runs of no more s are done by this process where there is one core for them: to start another
 takes longer, and they need too little memory to be ended for want of it."""
@@ -101,9 +103,14 @@ def run_study(
     with file_errors("use the folder", folder):
         (folder / "runs").mkdir(parents=True, exist_ok=True)
     outcomes: dict[str, RunOutcome] = {}
+    synced = clock.monotonic()
 
     def report(outcome: RunOutcome) -> None:
+        nonlocal synced
         outcomes[outcome.name] = outcome
+        if not outcome.reused and clock.monotonic() - synced > _SYNC:
+            sync_folder(folder / "runs")  # a brief run leaves that to us
+            synced = clock.monotonic()
         if progress is not None:
             progress(outcome)
 
@@ -128,10 +135,13 @@ def run_study(
             Task(run.name, str(folder), scene, retry)
             for run, scene in zip(ordered, plain, strict=True)
         ]
-        if here:
-            _do_here(tasks, report)
-        else:
-            _do_there(tasks, folder, most, scheduler, report)
+        try:
+            if here:
+                _do_here(tasks, report)
+            else:
+                _do_there(tasks, folder, most, scheduler, report)
+        finally:
+            sync_folder(folder / "runs")
     return [outcomes[run.name] for run in runs]
 
 

@@ -111,3 +111,17 @@ def test_runs_of_one_point_have_the_names_and_scenes_of_their_seeds(tmp_path):
         assert run.name == run_digest(run.scene)
     assert len({run.name for run in study.runs}) == 6
     assert [run.name for run in study.runs] == list(study.plan.names)
+
+
+def test_names_of_folders_are_on_the_disk_at_the_end_of_a_study(tmp_path, monkeypatch):
+    done, fsync = [], os.fsync
+
+    def noted(descriptor):
+        done.append(os.path.basename(os.readlink(f"/proc/self/fd/{descriptor}")))
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", noted)
+    run = run_of(SCENE)
+    run_study([run], tmp_path, cores=1)
+    parts = ["scene.toml.part", "frames.h5.part", "summary.json.part"]
+    assert done == [*parts, run.name, "runs"]
