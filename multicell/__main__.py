@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import sys
+import threading
 from functools import partial
 
 from multicell.host.call_stack import call_with_room
@@ -20,11 +22,32 @@ def run() -> None:
         from multicell.cli.main import main
 
         call_with_room(partial(main, prog_name="multicell"))
+    except SystemExit as leaving:
+        _end(leaving.code)
+        raise
     except KeyboardInterrupt:
         end_command()
         if sys.stderr is not None:
             sys.stderr.write("Interrupted.\n")
         sys.exit(130)
+
+
+def _end(code: object) -> None:
+    """End the process without taking its modules apart, which takes as long as a step or two.
+
+    What is registered for the end is done first. It is left to Python where threads run, somebody
+    profiles, or a stream cannot be written.
+    """
+    watched = sys.getprofile() is not None or sys.gettrace() is not None
+    if not isinstance(code, int) or watched or threading.active_count() > 1:
+        return
+    atexit._run_exitfuncs()
+    try:
+        for stream in filter(None, (sys.stdout, sys.stderr)):
+            stream.flush()
+    except (OSError, ValueError):
+        return
+    os._exit(code)
 
 
 if __name__ == "__main__":

@@ -59,6 +59,7 @@ class RunOptions:
     progress: Callable[[Simulation], None] | bool | None = None
     reactions: Mapping[str, OwnReaction] | None = None
     live: bool = False  # whether the folder has a picture that renews itself until the report
+    brief: bool = False  # whether nothing is written if the run is killed in its first second
 
 
 def _refusing_scene_keys(function: Callable[P, Result]) -> Callable[P, Result]:
@@ -180,7 +181,7 @@ def record_run(scene: Scene, options: RunOptions, cells: Any = None) -> Recorder
     if options.output is not None:
         from multicell.results.writer import Store  # HDF5 is loaded where there is a folder only
 
-        store = Store.create(options.output, scene, options.overwrite)
+        store = Store.create(options.output, scene, options.overwrite, brief=options.brief)
     recorder = Recorder(scene, store)
     with ExitStack() as stack:
         stack.enter_context(failing_as_run())

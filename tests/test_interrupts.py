@@ -217,7 +217,7 @@ def pressing(owner, name, call, presses):
     setattr(owner, name, pressed)
     return lambda: setattr(owner, name, inner)
 
-MOMENTS = [(hdf5.Sink, "write", k) for k in (1, 2, 40, 200)] + [
+MOMENTS = [(hdf5.Sink, "write", k) for k in (1, 2, 20, 60)] + [
     (hdf5.Sink, "flush", 1), (hdf5.Sink, "truncate", 1), (hdf5.Sink, "finish", 1),
     (hdf5, "frame_rows", 3), (hdf5.File, "_all", 1), (folder, "put_in_place", 2)]
 for number, (owner, name, call) in enumerate(MOMENTS):

@@ -242,6 +242,8 @@ class _Clock:
         self._forecast = Forecast.of(self._scene)
         few = {"neighbour lists"} if self._forecast.cells < LISTS_FROM else set()
         self._missing = {part: s for part, s in missing.items() if part not in few}
+        if not self._missing:
+            return []
         cells, run = self._forecast.cells, self._forecast.cost[-1]
         seconds = sum(self._missing.values())
         return [
@@ -334,7 +336,8 @@ class _Clock:
         self._simulation, compiled = simulation, simulation.wall["compile"]
         self._stepped = set(COMPILATION.parts)
         now = self._last = time.perf_counter()
-        if self._forecast is None and now - self._start > _FORECAST_AFTER:
+        late = now - self._start > _FORECAST_AFTER and not simulation.finished
+        if self._forecast is None and late:
             self._forecast = Forecast.of(self._scene)
             now = time.perf_counter()
             self._since = simulation.time, now - compiled

@@ -120,7 +120,8 @@ def may_be_on_disk(module: str, kernel: str) -> bool:
     - ``module``: of this package, without its name: ``"mechanics.forces"``
     """
     *above, name = module.split(".")
-    folder, file = os.path.join(PACKAGE, *above), f"{name}.{kernel}-*.nbi"
+    # of a serial driver the file has the name of its body: forces._forces-436.py311.nbi
+    folder, file = os.path.join(PACKAGE, *above), f"{name}.*{kernel}-*.nbi"
     own = f"{os.path.basename(folder)}_*"  # numba adds a digest of the path
     named = os.environ.get("NUMBA_CACHE_DIR")
     roots = [named] if named else [_of_user("numba"), *_private_folders()]

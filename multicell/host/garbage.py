@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import atexit
 import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Final
 
 _RARELY: Final = 100_000
@@ -18,6 +20,16 @@ def collect_rarely() -> None:
     gc.set_threshold(_AT_FIRST, *gc.get_threshold()[1:])
     gc.callbacks.append(_more_often)
     atexit.register(gc.freeze)
+
+
+@contextmanager
+def without_what_there_is() -> Iterator[None]:
+    """Look for garbage only among what is made from here on, not among all modules again."""
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 def _more_often(phase: str, about: dict[str, int]) -> None:

@@ -148,20 +148,24 @@ def refuse_results(folder: Path, *, overwrite: bool) -> list[str]:
     return held
 
 
-def make_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
-    """Make an output folder, or refuse one that holds something and may not be overwritten."""
+def make_folder(folder: str | Path, *, overwrite: bool = False, synced: bool = True) -> Path:
+    """Make an output folder, or refuse one that holds something and may not be overwritten.
+
+    - ``synced``: whether its name is on the disk itself when this returns
+    """
     folder = Path(folder)
     with file_errors("use the output folder", folder):
-        if folder.is_symlink() and not folder.exists():
-            raise OutputError(
-                f"output '{folder}' is a link to '{folder.readlink()}' that is missing"
-            )
-        if folder.exists() and not folder.is_dir():
-            raise OutputError(f"output '{folder}' is a file, not a folder")
-        new = [place for place in (folder, *folder.parents) if not place.exists()]
-        folder.mkdir(parents=True, exist_ok=True)
-        for place in new:
-            sync_folder(place.parent)
+        if not folder.is_dir():
+            if folder.exists():
+                raise OutputError(f"output '{folder}' is a file, not a folder")
+            if folder.is_symlink():
+                raise OutputError(
+                    f"output '{folder}' is a link to '{folder.readlink()}' that is missing"
+                )
+            new = [place for place in (folder, *folder.parents) if not place.exists()]
+            folder.mkdir(parents=True, exist_ok=True)
+            for place in new if synced else ():
+                sync_folder(place.parent)
     held = refuse_results(folder, overwrite=overwrite)
     if held and folder.is_symlink():
         raise OutputError(
@@ -226,7 +230,9 @@ Check = Callable[[Path], object]  # reads a file back; raises OutputError where 
 
 
 @contextmanager
-def replace_by_name(path: Path, check: Check, beside: str = "part") -> Iterator[Path]:
+def replace_by_name(
+    path: Path, check: Check, beside: str = "part", *, synced: bool = True
+) -> Iterator[Path]:
     """Give another name for what becomes ``path`` when it is complete, on disk and checked.
 
     No signal cuts the block: all of them, however often they come, wait for its end. Whatever
@@ -235,6 +241,7 @@ def replace_by_name(path: Path, check: Check, beside: str = "part") -> Iterator[
 
     - ``check``: reads the new file back, with the old one still in its place
     - ``beside``: ending of the other name; one of its own where several processes may write
+    - ``synced``: whether the name is on the disk, too; else the next one in this folder takes it
     """
     part = path.with_name(f"{path.name}.{beside}")
     with UNCUT, file_errors("write", path), ExitStack() as stack:
@@ -245,14 +252,19 @@ def replace_by_name(path: Path, check: Check, beside: str = "part") -> Iterator[
         yield part
         sync_file(part)
         check(part)
-        put_in_place(part, path)
+        put_in_place(part, path) if synced else part.replace(path)
         stack.pop_all()
 
 
 @contextmanager
-def replace_file(path: Path, check: Check, beside: str = "part") -> Iterator[IO[bytes]]:
+def replace_file(
+    path: Path, check: Check, beside: str = "part", *, synced: bool = True
+) -> Iterator[IO[bytes]]:
     """Write a file as :func:`replace_by_name` does, by bytes that can be read and sought."""
-    with replace_by_name(path, check, beside) as part, os.fdopen(new_file(part), "w+b") as file:
+    with (
+        replace_by_name(path, check, beside, synced=synced) as part,
+        os.fdopen(new_file(part), "w+b") as file,
+    ):
         yield file
 
 
@@ -285,20 +297,20 @@ def sync_folder(folder: Path) -> None:
             os.close(descriptor)
 
 
-def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file so that it is either the old one or complete."""
+def write_bytes(path: Path, data: bytes, *, synced: bool = True) -> None:
+    """Write a file so that it is either the old one or complete; see :func:`replace_by_name`."""
 
     def check(part: Path) -> None:
         if part.read_bytes() != data:
             raise OutputError(f"cannot write '{path}': it does not read back as it was written")
 
-    with replace_file(path, check) as file:
+    with replace_file(path, check, synced=synced) as file:
         file.write(data)
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a text file so that it is either the old one or complete."""
-    write_bytes(path, text.encode("utf-8"))
+def write_text(path: Path, text: str, *, synced: bool = True) -> None:
+    """Write a text file as :func:`write_bytes` does."""
+    write_bytes(path, text.encode("utf-8"), synced=synced)
 
 
 def _plain(value: Any) -> Any:

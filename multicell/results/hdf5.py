@@ -17,8 +17,9 @@ import struct
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, lru_cache, partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import IO, Any, Final, final
 
 import h5py
@@ -125,6 +126,7 @@ _LIBVER: Final = ("v110", "v110")  # the first in which all of a file's structur
 _BATCH: Final = 1 << 23  # bytes that are collected before they are written
 _AHEAD: Final = 1 << 19  # bytes of a data set that are read back at once
 _LEVEL: Final = 4  # of gzip; 1 would take 15 % less time and 1 % more room
+_COMPACT: Final = 1024  # bytes of a data set that are part of its header
 
 
 def write_hdf5(
@@ -134,6 +136,8 @@ def write_hdf5(
     frames: Iterable[tuple[Arrays, int, Arrays]],
     history: Mapping[str, NDArray[np.float64]],
     absorbed: str,
+    *,
+    synced: bool = True,
 ) -> None:
     """Write a file in the place of ``path``; until it has been read back the old one stays.
 
@@ -141,6 +145,7 @@ def write_hdf5(
     - ``frames``: arrays, checksum and new rows of the lineage of each frame, one after another
     - ``history``, column -> (m,) float64
     - ``absorbed``: identity of the journal that is part of the file now: 32 letters
+    - ``synced``: as of :func:`multicell.results.folder.replace_by_name`
     """
     identity, digests = uuid.uuid4().hex, []
     read_back: list[File] = []
@@ -156,9 +161,9 @@ def write_hdf5(
             raise _damage(part, "it is not what was written")
         read_back.append(written)
 
-    with whole_file(path, check) as sink, h5py.File(sink, "w", libver=_LIBVER) as target:
-        target.attrs["identity"] = np.bytes_(identity)
-        target.attrs["absorbed"] = np.bytes_(absorbed)
+    place = whole_file(path, check, synced=synced)
+    with place as sink, h5py.File(sink, "w", libver=_LIBVER) as target:
+        _describe(target, identity=np.bytes_(identity), absorbed=np.bytes_(absorbed))
         _fill(target, scene, _Log(target, nutrients, sink), noted(), history)
     _note_read_back(path, read_back[0])
 
@@ -204,12 +209,15 @@ def opened(path: Path) -> File:
 
 
 @contextmanager
-def whole_file(path: Path, check: Check, beside: str = "part") -> Iterator[Sink]:
+def whole_file(
+    path: Path, check: Check, beside: str = "part", *, synced: bool = True
+) -> Iterator[Sink]:
     """Give what HDF5 may write a file to that takes the place of ``path`` when it is complete.
 
-    - ``check``, ``beside``: as of :func:`multicell.results.folder.replace_by_name`
+    - ``check``, ``beside``, ``synced``: as of
+      :func:`multicell.results.folder.replace_by_name`
     """
-    with replace_file(path, check, beside) as file:
+    with replace_file(path, check, beside, synced=synced) as file:
         sink = Sink(file)
         try:
             yield sink
@@ -228,32 +236,42 @@ def _fill(
     frames: Iterable[tuple[Arrays, int, Arrays]],
     history: Mapping[str, NDArray[np.float64]],
 ) -> None:
-    target.attrs.update(format=FRAMES_FORMAT, multicell=package_version())
-    target.create_group("fields")
+    h5py.h5g.create(target.id, b"fields")
     text = np.frombuffer(scene.encode(), "|u1")
     _create(target, "scene", of_rows("|u1"), text)
     for frame in frames:
         log.add(*frame)
-    log.flush()
+    log.flush(last=True)
     group = target.create_group("history")
     for name, column in history.items():
         kind = of_rows("<f8", known_unit(name))
-        _create(target, f"history/{name}", kind, np.asarray(column, "<f8"))
-    group.attrs["digest"] = np.uint32(array_digest(dict(sorted(history.items()))))
-    target.attrs["frames"] = np.int64(log.count)
+        _create(group, name, kind, np.asarray(column, "<f8"))
+    _describe(group, digest=np.uint32(array_digest(dict(sorted(history.items())))))
     shared = {path: np.concatenate(pieces) for path, pieces in log.shared.items()}
-    target.attrs["digest"] = np.uint32(array_digest({"scene": text, **shared}))
+    _describe(
+        target,
+        format=np.int64(FRAMES_FORMAT),
+        multicell=np.array(package_version(), _TEXT),
+        frames=np.int64(log.count),
+        digest=np.uint32(array_digest({"scene": text, **shared})),
+    )
 
 
-@cache
-def _storage(chunks: tuple[int, ...], level: int) -> Any:
-    """Return how data sets are stored; h5py takes longer to find that than to write a small one."""
+@lru_cache(maxsize=256)
+def _storage(chunks: tuple[int, ...]) -> Any:
+    """Return how data sets are stored; h5py takes longer to find that than to write a small one.
+
+    Those without chunks are part of their headers, whose checksum covers them.
+    """
     settings = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    settings.set_obj_track_times(False)
+    if not chunks:
+        settings.set_layout(h5py.h5d.COMPACT)
+        return settings
     settings.set_chunk(chunks)
     settings.set_shuffle()
-    settings.set_deflate(level)
+    settings.set_deflate(_LEVEL)
     settings.set_fletcher32()
-    settings.set_obj_track_times(False)
     return settings
 
 
@@ -261,20 +279,36 @@ _type = cache(h5py.h5t.py_create)
 _TEXT, _SCALAR = h5py.string_dtype(), h5py.h5s.create(h5py.h5s.SCALAR)
 _PARENTS: Final = h5py.h5p.create(h5py.h5p.LINK_CREATE)
 _PARENTS.set_create_intermediate_group(True)
+_space = lru_cache(maxsize=256)(h5py.h5s.create_simple)
+_unit = cache(partial(np.array, dtype=_TEXT))
 
 
-def _create(target: Any, path: str, kind: DatasetKind, rows: NDArray[Any]) -> None:
-    """Create a data set with its first rows, and its unit."""
-    # a chunk that is nearly empty is as small at level 1, in a quarter of the time
-    storage = _storage((kind.chunk, *rows.shape[1:]), _LEVEL if 8 * len(rows) > kind.chunk else 1)
-    space = h5py.h5s.create_simple(rows.shape, (h5py.h5s.UNLIMITED, *rows.shape[1:]))
-    column = h5py.h5d.create(
-        target.id, path.encode(), _type(rows.dtype), space, dcpl=storage, lcpl=_PARENTS
-    )
+def _create(
+    target: Any, path: str, kind: DatasetKind, rows: NDArray[Any], *, grows: bool = False
+) -> None:
+    """Create a data set with its rows, the first ones where it ``grows``, and its unit."""
+    chunks: tuple[int, ...] = (kind.chunk, *rows.shape[1:])
+    longest = (h5py.h5s.UNLIMITED, *rows.shape[1:])
+    if not grows and len(rows) <= kind.chunk:  # room for more would take time and disk
+        chunks, longest = () if rows.nbytes <= _COMPACT else rows.shape, rows.shape
+    made = _type(rows.dtype), _space(rows.shape, longest), _storage(chunks), _PARENTS
+    column = h5py.h5d.create(target.id, path.encode(), *made)
     if len(rows):
-        column.write(h5py.h5s.ALL, h5py.h5s.ALL, np.ascontiguousarray(rows))
-    unit = h5py.h5a.create(column, b"unit", _type(_TEXT, logical=True), _SCALAR)
-    unit.write(np.array(kind.unit, _TEXT))
+        whole = h5py.h5s.ALL
+        column.write(whole, whole, np.ascontiguousarray(rows), _type(rows.dtype))
+    _attach(column, "unit", _unit(kind.unit))
+
+
+def _attach(owner: Any, name: str, value: Any) -> None:
+    """Give one of h5py's inner objects a scalar attribute."""
+    made = h5py.h5a.create(owner, name.encode(), _type(value.dtype, logical=True), _SCALAR)
+    made.write(np.asarray(value), _type(value.dtype))
+
+
+def _describe(owner: Any, **values: Any) -> None:
+    """Give a group scalar attributes, in a fifth of the time that h5py's take."""
+    for name, value in values.items():
+        _attach(owner.id, name, value)
 
 
 @final
@@ -328,8 +362,8 @@ class _Log:
         self._pieces[path].append(rows)
         self._size += rows.nbytes
 
-    def flush(self) -> None:
-        """Hand what was collected to HDF5."""
+    def flush(self, *, last: bool = False) -> None:
+        """Hand what was collected to HDF5; behind the ``last`` of it comes no more."""
         for path, kind in self._sets.items():
             if not (pieces := self._pieces[path]):
                 continue
@@ -339,7 +373,7 @@ class _Log:
                 column.resize(len(column) + len(rows), axis=0)
                 column[len(column) - len(rows) :] = rows
             else:
-                _create(self._target, path, kind, rows)
+                _create(self._target, path, kind, rows, grows=not last)
                 self._made.add(path)
             if path in self.shared:
                 self.shared[path].append(rows)
@@ -564,19 +598,40 @@ class _Columns:
     HDF5 takes as long to find a few rows as to read many, and h5py's objects longer than either.
 
     - ``ahead``: bytes of a data set that are read at once
+    - ``sets``: kinds of data sets by path, of which only the types are asked for
     """
 
-    def __init__(self, file: Any, ahead: int = _AHEAD) -> None:
-        self._file, self._ahead = file.id, ahead
-        self._known: dict[str, _Column] = {}
+    def __init__(
+        self, file: Any, ahead: int = _AHEAD, sets: Mapping[str, DatasetKind] = MappingProxyType({})
+    ) -> None:
+        self._file, self._ahead, self._sets = file.id, ahead, sets
+        self._known: dict[str, _Column | NDArray[Any]] = {}
+        self._there: dict[str, bool] = {}
 
     def __contains__(self, path: str) -> bool:
-        return path in self._known or path.encode() in self._file
+        if path not in self._there:  # h5py's own answer goes to every group on the way
+            self._there[path] = self._file.links.exists(path.encode())
+        return self._there[path]
 
-    def __getitem__(self, path: str) -> _Column:
-        if path not in self._known:
-            self._known[path] = _Column(h5py.h5d.open(self._file, path.encode()), self._ahead)
-        return self._known[path]
+    def __getitem__(self, path: str) -> _Column | NDArray[Any]:
+        found = self._known.get(path)
+        if found is None:
+            rows = h5py.h5d.open(self._file, path.encode())
+            shape = rows.shape
+            kind = np.dtype(self._sets[path].dtype) if path in self._sets else rows.dtype
+            if kind.itemsize * math.prod(shape) <= self._ahead:
+                found = np.empty(shape, kind)
+                if found.size:
+                    rows.read(h5py.h5s.ALL, h5py.h5s.ALL, found, _type(kind))
+            else:
+                found = _Column(rows, self._ahead)
+            self._known[path] = found
+        return found
+
+    def whole(self, path: str) -> NDArray[Any]:
+        """Return all rows of a data set."""
+        found = self[path]
+        return found.whole() if isinstance(found, _Column) else found
 
 
 @final
@@ -606,7 +661,7 @@ class _Column:
         rows = max(0, min(end, len(self)) - begin)
         found = np.empty((rows, *self._shape[1:]), self._type)
         if rows == len(self) and found.size:
-            self._rows.read(h5py.h5s.ALL, h5py.h5s.ALL, found)
+            self._rows.read(h5py.h5s.ALL, h5py.h5s.ALL, found, _type(self._type))
         elif found.size:
             space = self._rows.get_space()
             space.select_hyperslab((begin, *(0 for _ in self._shape[1:])), found.shape)
@@ -652,8 +707,8 @@ class File:
             sets = {f"history/{name}": of_rows("<f8") for name in self.columns}
             sets |= {"scene": of_rows("|u1"), **known}
             lengths = {} if own else _check_sets(path, file, sets)
-            columns = _Columns(file)
-            shared = {name: columns[name].whole() for name in ("scene", *_shared(known))}
+            columns = _Columns(file, sets=sets)
+            shared = {name: columns.whole(name) for name in ("scene", *_shared(known))}
             if array_digest(shared) != int(_attribute(file, "digest")):
                 problem = "its scene, index or lineage is not what was written"
                 raise _damage(path, f"{problem}. Nothing in it can be read")
@@ -686,7 +741,7 @@ class File:
             return self._history(file, _Columns(file))
 
     def _history(self, file: Any, columns: _Columns) -> dict[str, NDArray[np.float64]]:
-        found = {name: columns[f"history/{name}"].whole() for name in self.columns}
+        found = {name: columns.whole(f"history/{name}") for name in self.columns}
         if array_digest(found) != int(_attribute(file["history"], "digest")):
             problem = f"the history in '{self.path}' is not what was written"
             raise OutputError(problem, damaged=True)

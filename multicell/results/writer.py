@@ -30,8 +30,8 @@ Layout of ``frames.h5`` for k frames and m history rows::
     /history/<column> (m)
     /scene                           bytes of ``scene.toml``
 
-All is compressed by filters that every HDF5 has (shuffle, gzip). A frame is compared with its
-checksum whenever it is read.
+Large data sets are compressed by filters that every HDF5 has (shuffle, gzip), small ones are part
+of their headers. A frame is compared with its checksum whenever it is read.
 
 It is an ordinary file without links to others: h5py, pandas and xarray open it, and a copy of it is
 complete. The attributes ``identity`` and ``absorbed`` distinguish it from its journals, ``digest``
@@ -65,13 +65,14 @@ from multicell.results.folder import (
     make_folder,
     put_in_place,
     remove,
+    sync_folder,
     versions,
     write_copies,
     write_text,
 )
 from multicell.results.frame import Frame
 from multicell.results.journal import JOURNAL_FILE as JOURNAL
-from multicell.results.journal import Journal
+from multicell.results.journal import Journal, array_digest
 from multicell.results.lineage import LINEAGE_COLUMNS, Lineage
 from multicell.results.reader import Contents
 from multicell.results.records import Arrays, arrays_of, log_arrays
@@ -95,33 +96,38 @@ class Store:
         self,
         folder: Path,
         scene: str,
-        journal: Journal,
+        journal: Journal | None,
         nutrients: tuple[str, ...],
         held: ExitStack,
     ) -> None:
         self.folder = folder
         self.scene = scene  # text of ``scene.toml``
         self._journal = journal
+        self._early: list[tuple[Mapping[str, Any], Arrays]] = []  # what a journal begins with
         self._nutrients = nutrients
         self._held = held
         self._columns: tuple[str, ...] = ()
         self._pending: list[list[float]] = []
-        self._written = clock.monotonic()
+        self._created = self._written = clock.monotonic()
         # what is complete: the only truth about what comes next
         self._frames = self._rows = 0
         self._logged = dict.fromkeys(LINEAGE_COLUMNS, 0)
 
     @classmethod
-    def create(cls, folder: str | Path, scene: Scene, overwrite: bool = False) -> Self:
+    def create(
+        cls, folder: str | Path, scene: Scene, overwrite: bool = False, *, brief: bool = False
+    ) -> Self:
         """Prepare the folder, write ``scene.toml`` and begin an empty journal.
 
         - ``folder``: output folder; from now on no other run may write to it
         - ``scene``: the scene of the run; it says which nutrients the frames have
         - ``overwrite``: remove the files of an earlier run first; one of the same scene that has
           no frame yet is begun anew in any case
+        - ``brief``: write scene and journal only if the run takes longer than a second; before
+          that a kill leaves an empty folder, whose name may be lost with the power
         """
         folder = Path(folder)
-        make_folder(folder, overwrite=overwrite or _is_begun(folder, scene))
+        make_folder(folder, overwrite=overwrite or _is_begun(folder, scene), synced=not brief)
         with ExitStack() as stack:
             stack.enter_context(lock_folder(folder))
             # another run may have come first
@@ -132,11 +138,29 @@ class Store:
             old = (*PASSING, *LIVE, *RUN_FILES, *copied_files(folder))
             remove(folder, (name for name in old if name not in kept))
             text = scene.to_toml(versions(), beside=folder)
-            write_text(folder / "scene.toml", text)
-            names = tuple(scene.nutrients)
-            journal = Journal.create(folder, _first_record(text, names, "", 0, 0))
-            stack.callback(journal.close)
-            return cls(folder, text, journal, names, stack.pop_all())
+            store = cls(folder, text, None, tuple(scene.nutrients), stack)
+            store._early.append((_first_record(text, store._nutrients, "", 0, 0), {}))
+            if not brief:
+                store._begin(late=False)
+            store._held = stack.pop_all()
+            return store
+
+    def _begin(self, *, late: bool = True) -> None:
+        """Write the scene, and a journal with the records so far.
+
+        - ``late``: whether the folder was made without waiting for the disk
+        """
+        if late:
+            sync_folder(self.folder.parent)
+        write_text(self.folder / "scene.toml", self.scene, synced=False)
+        (header, _), *records = self._early
+        journal = Journal.create(self.folder, header)
+        self._held.callback(journal.close)
+        if records:
+            journal.append(records)
+            journal.sync()
+        self._journal = journal
+        self._early.clear()
 
     @classmethod
     def resume(cls, contents: Contents, place: int, rows: int, scene: Scene) -> Self:
@@ -213,7 +237,12 @@ class Store:
             header = {"kind": "rows", "start": self._rows, "columns": list(self._columns)}
             rows = [(header, {"rows": np.array(self._pending, "<f8")})]
         with UNCUT:
-            self._journal.append([*rows, *records])
+            if self._journal is None and clock.monotonic() - self._created > _HISTORY_EVERY:
+                self._begin()
+            if self._journal is None:
+                self._early += [*rows, *records]
+            else:
+                self._journal.append([*rows, *records])
             self._rows += len(self._pending)
             self._pending.clear()
             self._written = clock.monotonic()
@@ -242,6 +271,14 @@ class Store:
         The journal goes when that file has been read back.
         """
         self.flush()
+        if self._journal is None:
+            with suppress(OutputError):  # said where the journal meets it, too
+                write_text(self.folder / "scene.toml", self.scene, synced=False)
+                # there is no journal to remove: names come with that of the summary, in their order
+                hdf5.write_hdf5(self.folder / hdf5.FRAMES_FILE, *self._results(), synced=False)
+                return
+            self._begin()
+        assert self._journal is not None
         contents = Contents(self.folder)
         contents.whole()
         frames = ((entry.arrays(), entry.digest, entry.log()) for entry in contents.places)
@@ -256,6 +293,18 @@ class Store:
         self._journal.close()
         with file_errors("remove", self.folder / JOURNAL):
             (self.folder / JOURNAL).unlink()  # one that comes back by a loss of power is known
+
+    def _results(self) -> tuple[Any, ...]:
+        """Return the content of ``frames.h5`` by the records so far."""
+        found: dict[str, list[Arrays]] = {"open": [], "rows": [], "lineage": [], "frame": []}
+        for header, arrays in self._early:
+            found[header["kind"]].append(arrays)
+        logs = zip(found["frame"], found["lineage"], strict=True)
+        frames = ((arrays, array_digest(arrays), log) for arrays, log in logs)
+        rows = np.concatenate([arrays["rows"] for arrays in found["rows"]])
+        history = dict(zip(self._columns, rows.T, strict=True))
+        names, identity = sorted(self._nutrients), self._early[0][0]["identity"]
+        return self.scene, names, frames, history, identity
 
     def close(self) -> None:
         """Close the journal and let others write to the folder; closing twice does no harm."""

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 from multicell.errors import ClusterError, ExitCode, MulticellError, OutputError, exit_code_of
 from multicell.host.call_stack import call_with_room
+from multicell.host.garbage import without_what_there_is
 from multicell.host.interrupts import WHOLE_STEP
 from multicell.plugins.named import own_fault
 from multicell.results.folder import (
@@ -32,6 +33,7 @@ from multicell.results.folder import (
     in_use,
     lock_folder,
     remove,
+    sync_folder,
 )
 from multicell.studies.limits import check_cores
 from multicell.studies.runs import PlainScene
@@ -48,6 +50,7 @@ from multicell.studies.workers import (
 )
 
 if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
     from multicell.simulation import Simulation
     from multicell.studies.runs import StudyRun
 
@@ -57,6 +60,7 @@ _POLL: Final = 0.2  # s between checks for Ctrl-C
 _RECOUNT: Final = 2.0  # s between counts of workers
 _RECHECK: Final = 1.0  # s between checks of runs that another process does
 _MAX_STOP: Final = 60.0  # s that runs have to end between two steps
+_SYNC: Final = 1.0  # s after which the names of folders are on the disk itself
 _SHORT: Final = 10.0
 """Runs of no more s are done by this process where there is one core for them: to start another
 takes longer, and they need too little memory to be ended for want of it."""
@@ -99,9 +103,14 @@ def run_study(
     with file_errors("use the folder", folder):
         (folder / "runs").mkdir(parents=True, exist_ok=True)
     outcomes: dict[str, RunOutcome] = {}
+    synced = clock.monotonic()
 
     def report(outcome: RunOutcome) -> None:
+        nonlocal synced
         outcomes[outcome.name] = outcome
+        if not outcome.reused and clock.monotonic() - synced > _SYNC:
+            sync_folder(folder / "runs")  # a brief run leaves that to us
+            synced = clock.monotonic()
         if progress is not None:
             progress(outcome)
 
@@ -115,16 +124,24 @@ def run_study(
         else:
             report(known)
     ordered = [run for _, run in sorted(left, key=lambda entry: -entry[0])]
-    tasks = [Task(run.name, str(folder), PlainScene.of(run.scene), retry) for run in ordered]
     short = not any(run.expected > _SHORT for run in ordered)
-    if tasks:
+    if ordered:
         check_cores(cores)
         wanted = own_cores() if scheduler is None and cores is None else cores
-        most = None if wanted is None else min(wanted, len(tasks))
-        if scheduler is None and most == 1 and short:
-            _do_here(tasks, report)
-        else:
-            _do_there(tasks, folder, most, scheduler, report)
+        most = None if wanted is None else min(wanted, len(ordered))
+        here = scheduler is None and most == 1 and short
+        plain = (run.scene if here else PlainScene.of(run.scene) for run in ordered)
+        tasks = [
+            Task(run.name, str(folder), scene, retry)
+            for run, scene in zip(ordered, plain, strict=True)
+        ]
+        try:
+            if here:
+                _do_here(tasks, report)
+            else:
+                _do_there(tasks, folder, most, scheduler, report)
+        finally:
+            sync_folder(folder / "runs")
     return [outcomes[run.name] for run in runs]
 
 
@@ -151,7 +168,7 @@ def _do_there(
 
 def _do_here(tasks: Sequence[Task], report: Callable[[RunOutcome], None]) -> None:
     """Do tasks in this process; wait in the end for those that other processes have."""
-    with WHOLE_STEP:
+    with WHOLE_STEP, without_what_there_is():
         while tasks:
             held = []
             for work in tasks:
@@ -362,12 +379,13 @@ class Task:
     """A run as it travels to a worker: plain values only.
 
     - ``folder``: of the study
+    - ``scene``: as it is where this process does the run
     - ``retry``: whether a run that failed, or whose folder is damaged, is tried again
     """
 
     name: str
     folder: str
-    scene: PlainScene
+    scene: PlainScene | Scene
     retry: bool
 
 
@@ -453,10 +471,10 @@ def _forward(work: Task, place: Path, found: RunStatus, wanted: Callable[[], boo
         if not wanted():
             raise Stopped
 
-    scene = work.scene.load()
+    scene = work.scene.load() if isinstance(work.scene, PlainScene) else work.scene
     if not wanted():
         raise Stopped
-    options = runner.RunOptions(output=place, threads=1, progress=between)
+    options = runner.RunOptions(output=place, threads=1, progress=between, brief=True)
     if found.frames and found.kind != "damage":
         remove(place, [NOTE])
         runner.record_resumed(place, options, planned=True)

@@ -12,7 +12,8 @@ import json
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from copy import copy
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, final
@@ -24,7 +25,7 @@ from multicell.schema import near_miss
 from multicell.studies.axes import Axis, change, parse_axis, with_unique_names
 from multicell.studies.keys import refuse_ineffective
 from multicell.studies.limits import check_runs, check_seeds
-from multicell.studies.runs import StudyRun, run_digest
+from multicell.studies.runs import StudyRun, run_digest, run_digests
 from multicell.units import BASE_UNITS, shown
 
 PLAN_FILE: Final = "study.toml"
@@ -95,7 +96,9 @@ class Plan:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of all runs: those of one point after the other, each with all its seeds."""
-        return tuple(run_digest(scene) for _, scene in self._each())
+        first = self.scene.seed
+        seeds = range(first, first + self.seeds)
+        return tuple(name for scene in self.scenes for name in run_digests(scene, seeds))
 
     def runs(self, expected: Sequence[float]) -> list[StudyRun]:
         """Return all runs, in the order of :attr:`names`.
@@ -111,7 +114,9 @@ class Plan:
     def _each(self) -> Iterator[tuple[int, Scene]]:
         for k, scene in enumerate(self.scenes):
             for j in range(self.seeds):
-                yield k, replace(scene, seed=scene.seed + j) if j else scene
+                seeded = copy(scene)  # which is checked already, and no check asks for the seed
+                object.__setattr__(seeded, "seed", scene.seed + j)
+                yield k, seeded
 
     def _refuse_equal_points(self) -> None:
         """Refuse two points whose runs would be the same."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, is_dataclass
 from typing import Any, Final, final
 
@@ -105,7 +105,12 @@ class PlainScene:
 
 
 def run_digest(scene: Scene) -> str:
-    """Return the name of a run: a digest of all that decides its results.
+    """Return the name of a run; see :func:`run_digests`."""
+    return run_digests(scene, [scene.seed])[0]
+
+
+def run_digests(scene: Scene, seeds: Iterable[int]) -> list[str]:
+    """Return the name of the run of a scene with each seed: a digest of all that decides results.
 
     That is the scene in base units without its title, the version of the model, and the
     fingerprint of a law of the user's own (of its function and of all that it reads; it is part of
@@ -113,9 +118,12 @@ def run_digest(scene: Scene) -> str:
     another order, have the same digest; the order of named tables such as types, in which they take
     their random numbers, counts.
     """
-    content = {"model": MODEL_VERSION, "scene": canonical(scene)}
-    text = json.dumps(content, sort_keys=True, allow_nan=False, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()[:_LENGTH]
+    entries, names = canonical(scene), []
+    for seed in seeds:
+        content = {"model": MODEL_VERSION, "scene": {**entries, "seed": seed}}
+        text = json.dumps(content, sort_keys=True, allow_nan=False, separators=(",", ":"))
+        names.append(hashlib.sha256(text.encode()).hexdigest()[:_LENGTH])
+    return names
 
 
 def canonical(scene: Scene) -> dict[str, Any]:

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import time
+from importlib import import_module
 from types import SimpleNamespace
 
 import numpy as np
@@ -155,6 +156,32 @@ def test_every_part_that_is_expected_can_be_counted():
     assert set(everything) <= set(compilation._LANDMARKS)
     bare = compilation.missing_parts(mc.load_scene("settle"))
     assert "fields" not in bare
+
+
+@pytest.mark.parametrize("part", compilation._LANDMARKS)
+def test_a_kernel_on_disk_is_found_by_the_name_of_its_file(part, tmp_path, monkeypatch):
+    module, kernel, _ = compilation._LANDMARKS[part]
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    assert not closed.may_be_on_disk(module, kernel)
+    dispatcher = getattr(import_module(f"multicell.{module}"), kernel)
+    place = tmp_path / f"{module.split('.')[-2] if '.' in module else 'multicell'}_0"
+    place.mkdir()
+    (place / f"{dispatcher._cache._impl.filename_base}.py311.nbi").touch()
+    assert closed.may_be_on_disk(module, kernel)
+
+
+def test_a_run_of_few_cells_lacks_no_lists_and_one_of_a_single_cell_no_forces(monkeypatch):
+    monkeypatch.setattr(compilation, "_is_compiled", lambda module, kernel: False)
+
+    def lacks(**changes):
+        return set(compilation.missing_parts(SPHEROID.with_changes(changes)))
+
+    assert lacks() == set(compilation._LANDMARKS)
+    assert lacks(duration="10 min") == {"random numbers", "fields"}
+    few = lacks(duration="10 min", **{"initial.count": 20})
+    assert few == {"random numbers", "fields", "motion", "forces"}
+    clock = _Clock(SPHEROID.with_changes({"duration": "1 h"}))
+    assert clock.foresee({"neighbour lists": 6.5}) == []
 
 
 def test_what_is_compiled_is_counted_and_what_comes_from_disk_is_not(tmp_path, monkeypatch):

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+from forged import stretch
 from forks import limit_memory
 
 import multicell as mc
@@ -153,7 +154,7 @@ def _edit(folder, rng):
         elif way in ("shrink", "grow", "huge"):
             rows = len(file[name])
             size = {"shrink": rng.randrange(rows + 1), "grow": rows + 5, "huge": 1 << 55}[way]
-            file[name].resize(size, axis=0)
+            stretch(file, name, size)
         elif way == "type":
             _put(file, name, file[name][()].astype(rng.choice(["<f4", ">f8", "<i4", "S3"])))
         elif way == "width":

@@ -121,6 +121,20 @@ def forge(folder, rng):
         return resize(file, rng)
 
 
+def stretch(file, name, rows):
+    """Let a data set say that it has so many rows; one that cannot is replaced by one that can."""
+    column = file[name]
+    if column.maxshape[0] is not None:
+        values, about = column[()], dict(column.attrs)
+        del file[name]
+        column = file.create_dataset(
+            name, data=values, maxshape=(None, *values.shape[1:]), chunks=(256, *values.shape[1:]),
+            compression="gzip", shuffle=True, fletcher32=True,
+        )  # fmt: skip
+        column.attrs.update(about)
+    column.resize(rows, axis=0)
+
+
 def resize(file, rng):
     """Resize data sets of a file, and make the checksums right as far as they can be computed."""
     sets = []
@@ -128,7 +142,7 @@ def resize(file, rng):
     chosen = rng.sample(sorted(sets), rng.choice([1, 1, 3]))
     rows = rng.choice([0, 3, 10**4, 10**5, 1 << 26, 1 << 28, 1 << 33, 1 << 55])
     for name in chosen:
-        file[name].resize(rows, axis=0)
+        stretch(file, name, rows)
     if rows <= 10**5:
         columns = {name: file["history"][name][()] for name in file["history"]}
         file["history"].attrs["digest"] = np.uint32(array_digest(columns))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from importlib import import_module
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -37,12 +38,22 @@ LISTS_FROM: Final = 1000.0  # cells from which on lists are repaired, and that i
 def missing_parts(scene: Scene) -> dict[str, float]:
     """Return the parts without code on disk, and the seconds that each is expected to take."""
     found = {}
+    absent = {"fields"} if not scene.nutrients else set()
+    most = _most_cells(scene)
+    if most < LISTS_FROM:
+        absent.add("neighbour lists")
+    if most < 2.0 and scene.motility is None and not scene.chemotaxis:
+        absent |= {"motion", "forces"}
     for part, (module, kernel, seconds) in _LANDMARKS.items():
-        if part == "fields" and not scene.nutrients:
-            continue
-        if not _is_compiled(module, kernel):
+        if part not in absent and not _is_compiled(module, kernel):
             found[part] = seconds
     return found
+
+
+def _most_cells(scene: Scene) -> float:
+    """Return more cells than a scene is going to have, without the time of a forecast."""
+    cycles = 0.0 if scene.growth is None else scene.duration / scene.growth.mean_cycle
+    return scene.initial.count * math.exp(min(4.0 * cycles, 100.0))
 
 
 def _is_compiled(module: str, kernel: str) -> bool:
