@@ -240,8 +240,9 @@ class MultigridSolver:
         rho, _ = self._products(z)
         beta = 0.0
         for _ in range(MAX_CG):
-            level.share_light(kernels.direct, p, z, np.float32(beta))
-            level.share(kernels.apply_planes, p, level.rate, level.along, level.weights, q, parts)
+            way = p, z, np.float32(beta), level.rate, level.along, level.weights
+            level.share(kernels.apply_direction, *way, level.spare, q, parts)
+            p, level.spare = level.spare, p  # the cycle's solution is elsewhere
             curvature = float(parts.sum())
             if not curvature > 0.0 or rho == 0.0:  # single precision has no smaller numbers
                 break
@@ -253,6 +254,7 @@ class MultigridSolver:
             z = self._hierarchy.cycle()
             following, change = self._products(z)
             beta, rho = -alpha * change / rho, following
+        self._p = p
         self.newton += 1
         shape, scale = self.operator.shape, size / self.operator.stiffness
         if residual.dtype == np.float64:  # nor has a correction that is far below one
