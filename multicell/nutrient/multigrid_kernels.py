@@ -173,7 +173,15 @@ def _relax(
 
 @_bare
 def _leave_row(
-    around: Any, unit: Any, row: Any, b: Any, rate: Any, own: Any, diagonal: Any, share: Any, out: Any
+    around: Any,
+    unit: Any,
+    row: Any,
+    b: Any,
+    rate: Any,
+    own: Any,
+    diagonal: Any,
+    share: Any,
+    out: Any,
 ) -> None:
     """Add a share of ``b - A x`` to ``out``."""
     e = around[6]
@@ -196,7 +204,7 @@ def _leave(
     diagonal: Any,
     total: Any,
 ) -> None:
-    """Add plane i of ``b - A x``, by the nodes' shares, to rows of the next level, which it begins."""
+    """Add plane i of ``b - A x``, by the nodes' shares, to rows of the next level."""
     nx, ny, _ = b.shape
     for j in range(ny):
         left = total[np.uintp(j // 2)]
