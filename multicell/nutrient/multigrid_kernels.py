@@ -275,6 +275,17 @@ def _scale(b: Any, inverse: Any, damping: Any, out: Any) -> None:
 
 
 @_bare
+def _multiply(x: Any, b: Any, q: Any, first: Any, second: Any) -> None:
+    """Add the products of nodes of a plane with those of two others to two rows."""
+    ny, nz = x.shape
+    for j in range(ny):
+        e, r, o = x[np.uintp(j)], b[np.uintp(j)], q[np.uintp(j)]
+        for k in range(nz):
+            first[k] += e[k] * r[k]
+            second[k] += e[k] * o[k]
+
+
+@_bare
 def _strip(x: Any, out: Any) -> None:
     """Copy a plane with a rim to one without."""
     ny, nz = out.shape
@@ -430,11 +441,14 @@ def up(
     along: Any,
     weights: Any,
     damping: Any,
+    q: Any,
     out: Any,
+    parts: Any,
 ) -> None:
     """Add what the next level has found to ``x``, and write two damped Jacobi steps to ``out``.
 
-    They follow each other as in :func:`down`.
+    They follow each other as in :func:`down`. The products of each plane of ``out`` with ``b`` and
+    with ``q`` go to ``parts``, (2, nx).
     """
     nx, ny, nz = x.shape
     row, diagonal = _rows(along)
@@ -450,6 +464,10 @@ def up(
                 given, made = (added, once[i % 3]) if sweep == 0 else (once, out[i])
                 damp, rim = damping[sweep], beside
                 _relax(i, given, b, inverse, along, unit, weights, damp, row, diagonal, made, rim)
+        if begin <= i < end:
+            first, second = np.zeros(nz), np.zeros(nz)
+            _multiply(out[i], b[i], q[i], first, second)
+            parts[0, i], parts[1, i] = _sum(first), _sum(second)
 
 
 @_jit
@@ -503,21 +521,6 @@ def update_residual_planes(
                 left[k] = v
                 total[k] += v * v
         parts[i] = _sum(total)
-
-
-@_jit
-def products(begin: int, end: int, z: Any, r: Any, q: Any, parts: Any) -> None:
-    """Write ``z . r`` and ``z . q`` of each plane to ``parts``, (2, nx)."""
-    ny, nz = z.shape[1:]
-    for i in range(begin, end):
-        first, second = np.zeros(nz), np.zeros(nz)
-        for j in range(ny):
-            a, b, c = z[i, j], r[i, j], q[i, j]
-            for k in range(nz):
-                first[k] += a[k] * b[k]
-                second[k] += a[k] * c[k]
-        parts[0, i] = _sum(first)
-        parts[1, i] = _sum(second)
 
 
 @_jit
