@@ -316,6 +316,18 @@ def _transfer(position, amount, values, density, out, grid, balls, left, low, hi
                     _add_rows(density, row, nz, a * amount[cell], along_y, along_z)
                 else:
                     total += _read_rows(values, row, nz, a, along_y, along_z)
+        elif deepest == 2:  # the compiler unrolls what has a number for its end
+            left_z, right_z = weights[2, 0, c], weights[2, 1, c]
+            for i in range(max(low - i0, 0), min(high - i0, 2)):
+                for j in range(2):
+                    row = np.uint64(((i0 + i) * ny + j0 + j) * nz + k0)
+                    a = weights[0, i, c] * weights[1, j, c]
+                    if spread:
+                        density[row] += amount[cell] * a * left_z
+                        density[row + np.uint64(1)] += amount[cell] * a * right_z
+                    else:
+                        total += a * values[row] * left_z
+                        total += a * values[row + np.uint64(1)] * right_z
         else:
             for i in range(max(low - i0, 0), min(high - i0, number)):
                 for j in range(number):

@@ -74,6 +74,8 @@ class _Level:
     - ``team``: threads that share the loops, as many as there is work for (:data:`.stencil.PART`)
     - ``light``: those that share loops in which nodes do not see each other
     - ``room``, (8 nodes,): memory to work in
+
+    - ``parts``, (2, nx): products of planes of the solution with ``b`` and with ``work[2]``
     """
 
     def __init__(self, axes: list[_Axis], team: Team, room: Float32Array) -> None:
@@ -84,6 +86,7 @@ class _Level:
         self.team, self.light = stencil.teams(team, nx * ny * nz)
         arrays = room.reshape(_ARRAYS, nx, ny, nz)
         self.rate, self.inverse, self.b, self.x, self.spare, *self.work = arrays
+        self.parts = np.zeros((2, nx))
 
     def share(self, kernel: Callable[..., Any], *arguments: Any) -> None:
         """Run a kernel over the planes of this level."""
@@ -130,7 +133,9 @@ class _Level:
             self.along,
             self.weights,
             _SMOOTHER,
+            self.work[2],
             self.spare,
+            self.parts,
         )
         self.x, self.spare = self.spare, self.x
 
@@ -168,7 +173,7 @@ class Hierarchy:
         # each (4, n) table of an axis has a column a node
         ends = np.cumsum([_ARRAYS * math.prod(a[0].shape[1] for a in level) for level in levels])
         if room is None or len(room) < ends[-1]:
-            room = np.empty(int(_SPARE * ends[-1]), np.float32)
+            room = np.zeros(int(_SPARE * ends[-1]), np.float32)
         self.room = room
         parts = np.split(room[: ends[-1]], ends[:-1])
         self.levels = [_Level(level, team, p) for level, p in zip(levels, parts, strict=True)]
@@ -223,9 +228,7 @@ class MultigridSolver:
         operator.room = self._hierarchy.room
         self._finest = self._hierarchy.levels[0]
         self._x, self._p, self._q = self._finest.work
-        self._q.fill(0.0)  # the first products are made of it too, before it is written
         self._r = self._finest.b
-        self._parts = np.empty((2, shape[0]))
 
     def solve(self, rate: Floats, residual: Floats, size: float, goal: float) -> Floats:
         """Solve (-D L0 + rate) x = residual to ``goal``, a share of ``size``, the residual's norm.
@@ -235,13 +238,14 @@ class MultigridSolver:
         """
         self._begin(rate, residual, size)
         x, r, p, q = self._x, self._r, self._p, self._q
-        level, parts = self._finest, self._parts[0]
+        level, parts = self._finest, np.empty(len(r))
         z = self._hierarchy.cycle()
-        rho, _ = self._products(z)
+        rho = float(level.parts[0].sum())
         beta = 0.0
         for _ in range(MAX_CG):
-            level.share_light(kernels.direct, p, z, np.float32(beta))
-            level.share(kernels.apply_planes, p, level.rate, level.along, level.weights, q, parts)
+            way = p, z, np.float32(beta), level.rate, level.along, level.weights
+            level.share(kernels.apply_direction, *way, level.spare, q, parts)
+            p, level.spare = level.spare, p  # the cycle's solution is elsewhere
             curvature = float(parts.sum())
             if not curvature > 0.0 or rho == 0.0:  # single precision has no smaller numbers
                 break
@@ -251,8 +255,9 @@ class MultigridSolver:
             if not float(parts.sum()) > max(goal, FINEST) ** 2:
                 break
             z = self._hierarchy.cycle()
-            following, change = self._products(z)
+            following, change = level.parts.sum(axis=1).tolist()
             beta, rho = -alpha * change / rho, following
+        self._p = p
         self.newton += 1
         shape, scale = self.operator.shape, size / self.operator.stiffness
         if residual.dtype == np.float64:  # nor has a correction that is far below one
@@ -274,12 +279,6 @@ class MultigridSolver:
             self._p,
         )
         self._hierarchy.set_rate()
-
-    def _products(self, z: Float32Array) -> tuple[float, float]:
-        """Return the products of ``z`` with the residual and with its last change."""
-        self._finest.share_light(kernels.products, z, self._r, self._q, self._parts)
-        first, second = self._parts.sum(axis=1)
-        return float(first), float(second)
 
     def _turned(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return values with the third axis of a plane in front."""

@@ -19,17 +19,18 @@ from typing import Any
 
 import numpy as np
 
-from multicell.compiling import INLINED, KERNEL, typed
+from multicell.compiling import INLINED, KERNEL, UNCOUNTED, typed
 
 _jit = typed(**KERNEL, nogil=True)
 # a call for each row would take as long as its work
 _inline = typed(**INLINED, nogil=True)
+_bare = typed(**UNCOUNTED, forceinline=True, nogil=True)
 
 _NONE = np.float32(0.0)
 _ONE = np.float32(1.0)
 
 
-@_inline
+@_bare
 def _across(along: Any, i: int, j: int) -> Any:
     """Return the coefficient of the nodes (i, j, :) by their faces across the first two axes."""
     ax, ay, _az = along
@@ -37,52 +38,79 @@ def _across(along: Any, i: int, j: int) -> Any:
 
 
 @_inline
-def _neighbours(
-    x: Any, at: Any, along: Any, weights: Any, i: int, j: int, row: Any, diagonal: Any
-) -> Any:
-    """Write the weighted sums of the six neighbours of the nodes (i, j, :) to ``row``, (nz,).
+def _unit(along: Any) -> Any:
+    """Return the coefficient of all neighbours, or zero where they have several."""
+    unit = _NONE
+    for axis in range(3):
+        table = along[axis]
+        for n in range(table.shape[1] - 1):
+            unit = table[1, n] if unit == _NONE else unit
+            if not unit == table[1, n] == table[0, n + 1]:
+                return _NONE
+    return unit
 
-    Plane i of ``x`` and those beside it are the three that ``at`` says. The coefficients of the
-    nodes themselves are what is returned plus ``diagonal``, (nz,), which is written where it is not
-    the same for all rows.
+
+@_inline
+def _rimmed(ny: int, nz: int) -> Any:
+    """Return three planes that are kept by turns, with a rim of zeros, and a fourth one of zeros.
+
+    So there are neighbours beyond the faces too, which add nothing.
     """
-    ny, nz = x.shape[1:]
+    return np.zeros((4, ny + 2, nz + 2), np.float32)
+
+
+@_bare
+def _rows_around(x: Any, i: int, nx: int, j: int) -> Any:
+    """Return the rows beside the nodes (i, j, :), three times two of them, and their own.
+
+    ``x`` are planes as :func:`_rimmed` makes them.
+    """
+    # unsigned numbers cannot count from the end of an array: no test for that
+    below, here = np.uintp((i + 2) % 3 if i > 0 else 3), np.uintp(i % 3)
+    above = np.uintp((i + 1) % 3 if i < nx - 1 else 3)
+    before, own, after = np.uintp(j), np.uintp(j + 1), np.uintp(j + 2)
+    a, b = x[below, own, 1:], x[above, own, 1:]
+    c, d, row = x[here, before, 1:], x[here, after, 1:], x[here, own]
+    return a, b, c, d, row, row[2:], row[1:]
+
+
+@_bare
+def _fill(along: Any, weights: Any, i: int, j: int, around: Any, row: Any, diagonal: Any) -> Any:
+    """Write the weighted sums of the neighbours of the nodes (i, j, :) to ``row``, (nz,).
+
+    The coefficients of the nodes themselves are what is returned plus ``diagonal``, (nz,), which is
+    written where it is not the same for all rows.
+    """
     ax, ay, az = along
-    below, here, above = at
-    a, b = x[below, j], x[above, j]
-    c, d = x[here, max(j - 1, 0)], x[here, min(j + 1, ny - 1)]
-    e, low, high = x[here, j], az[0], az[1]
+    a, b, c, d, e, f, _ = around
+    low, high = az[0], az[1]
     wa, wb, wc, wd = ax[0, i], ax[1, i], ay[0, j], ay[1, j]
     if weights is None:
-        for k in range(1, nz - 1):
+        for k in range(row.size):
             across = (wa * a[k] + wb * b[k]) + (wc * c[k] + wd * d[k])
-            row[k] = across + (low[k] * e[k - 1] + high[k] * e[k + 1])
-        for k in (0, nz - 1):
-            across = (wa * a[k] + wb * b[k]) + (wc * c[k] + wd * d[k])
-            row[k] = across + (low[k] * e[max(k - 1, 0)] + high[k] * e[min(k + 1, nz - 1)])
+            row[k] = across + (low[k] * e[k] + high[k] * f[k])
         return _across(along, i, j)
     wx, wy, wz = weights
-    for k in range(nz):
+    for k in range(row.size):
         la, lb, lc, ld = wx[i, j, k], wx[i + 1, j, k], wy[i, j, k], wy[i, j + 1, k]
         le, lf = wz[i, j, k], wz[i, j, k + 1]
         across = (wa * la * a[k] + wb * lb * b[k]) + (wc * lc * c[k] + wd * ld * d[k])
-        ends = low[k] * le * e[max(k - 1, 0)] + high[k] * lf * e[min(k + 1, nz - 1)]
-        row[k] = across + ends
+        row[k] = across + (low[k] * le * e[k] + high[k] * lf * f[k])
         own = (ax[2, i] * la + ax[3, i] * lb) + (ay[2, j] * lc + ay[3, j] * ld)
         diagonal[k] = own + (az[2, k] * le + az[3, k] * lf)
     return _NONE
 
 
-@_inline
-def _beside(i: int, nx: int) -> Any:
-    """Return the planes below, at and above plane i; at a face the plane itself."""
-    return max(i - 1, 0), i, min(i + 1, nx - 1)
+@_bare
+def _near(around: Any, unit: Any, row: Any, k: int) -> Any:
+    """Return the weighted sum of the neighbours of the node k of a row.
 
-
-@_inline
-def _ring(i: int, nx: int) -> Any:
-    """Return the places of these planes among three that are kept by turns."""
-    return max(i - 1, 0) % 3, i % 3, min(i + 1, nx - 1) % 3
+    It is in ``row``, or, where this is None, all have the coefficient ``unit``, a power of two.
+    """
+    if row is None:
+        a, b, c, d, e, f, _ = around
+        return unit * (((a[k] + b[k]) + (c[k] + d[k])) + (e[k] + f[k]))
+    return row[k]
 
 
 @_inline
@@ -95,7 +123,7 @@ def _rows(along: Any) -> Any:
     return row, diagonal
 
 
-@_inline
+@_bare
 def _sum(values: Any) -> float:
     """Return the sum of a row (NumPy's takes longer to compile)."""
     total = 0.0
@@ -104,33 +132,180 @@ def _sum(values: Any) -> float:
     return total
 
 
-@_inline
+@_bare
+def _relax_row(around: Any, unit: Any, row: Any, b: Any, v: Any, damping: Any, out: Any) -> None:
+    e = around[6]
+    for k in range(b.size):
+        near = _near(around, unit, row, k)
+        out[k] = e[k] + damping * ((b[k] + near) * v[k] - e[k])
+
+
+@_bare
 def _relax(
     i: int,
     x: Any,
     b: Any,
     inverse: Any,
     along: Any,
+    unit: Any,
     weights: Any,
     damping: Any,
     row: Any,
     diagonal: Any,
     out: Any,
+    rim: int,
 ) -> None:
     """Write plane i of ``x + damping (b - A x) / diagonal``, a damped Jacobi step, to ``out``.
 
-    ``x`` are three planes by turns, see :func:`_ring`.
+    ``x`` are planes by turns, see :func:`_rimmed`, and ``out`` one that has a ``rim`` or none.
     """
-    nx, ny, nz = b.shape
-    at = _ring(i, nx)
+    nx, ny, _ = b.shape
     for j in range(ny):
-        _neighbours(x, at, along, weights, i, j, row, diagonal)
-        e, right, v, o = x[at[1], j], b[i, j], inverse[i, j], out[j]
+        around = _rows_around(x, i, nx, j)
+        right, v = b[np.uintp(i), np.uintp(j)], inverse[np.uintp(i), np.uintp(j)]
+        o = out[np.uintp(j + rim), np.uintp(rim) :]
+        if weights is None and unit != _NONE:
+            _relax_row(around, unit, None, right, v, damping, o)
+        else:
+            _fill(along, weights, i, j, around, row, diagonal)
+            _relax_row(around, unit, row, right, v, damping, o)
+
+
+@_bare
+def _leave_row(
+    around: Any,
+    unit: Any,
+    row: Any,
+    b: Any,
+    rate: Any,
+    own: Any,
+    diagonal: Any,
+    share: Any,
+    out: Any,
+) -> None:
+    """Add a share of ``b - A x`` to ``out``."""
+    e = around[6]
+    for k in range(b.size):
+        beside = b[k] + _near(around, unit, row, k)
+        out[k] += share * (beside - (own + diagonal[k] + rate[k]) * e[k])
+
+
+@_bare
+def _leave(
+    i: int,
+    x: Any,
+    b: Any,
+    rate: Any,
+    along: Any,
+    unit: Any,
+    weights: Any,
+    shares: Any,
+    row: Any,
+    diagonal: Any,
+    total: Any,
+) -> None:
+    """Add plane i of ``b - A x``, by the nodes' shares, to rows of the next level."""
+    nx, ny, _ = b.shape
+    for j in range(ny):
+        left = total[np.uintp(j // 2)]
+        if i % 2 == 0 and j % 2 == 0:
+            _clear(left)
+        around, share = _rows_around(x, i, nx, j), shares[0][i] * shares[1][j]
+        right, r = b[np.uintp(i), np.uintp(j)], rate[np.uintp(i), np.uintp(j)]
+        if weights is None and unit != _NONE:
+            own = _across(along, i, j)
+            _leave_row(around, unit, None, right, r, own, diagonal, share, left)
+        else:
+            own = _fill(along, weights, i, j, around, row, diagonal)
+            _leave_row(around, unit, row, right, r, own, diagonal, share, left)
+
+
+@_bare
+def _clear(row: Any) -> None:
+    for k in range(row.size):
+        row[k] = _NONE
+
+
+@_bare
+def _apply_row(
+    around: Any, unit: Any, row: Any, rate: Any, own: Any, diagonal: Any, out: Any, total: Any
+) -> None:
+    """Write ``A x`` to ``out`` and add its products with x to ``total``."""
+    e = around[6]
+    for k in range(rate.size):
+        w = (own + diagonal[k] + rate[k]) * e[k] - _near(around, unit, row, k)
+        out[k] = w
+        total[k] += w * e[k]
+
+
+@_bare
+def _apply(
+    i: int,
+    x: Any,
+    rate: Any,
+    along: Any,
+    unit: Any,
+    weights: Any,
+    row: Any,
+    diagonal: Any,
+    out: Any,
+    total: Any,
+) -> None:
+    """Write plane i of ``A x`` to ``out``, and add its products with x to ``total``."""
+    nx, ny, _ = rate.shape
+    for j in range(ny):
+        around = _rows_around(x, i, nx, j)
+        r, o = rate[np.uintp(i), np.uintp(j)], out[np.uintp(i), np.uintp(j)]
+        if weights is None and unit != _NONE:
+            own = _across(along, i, j)
+            _apply_row(around, unit, None, r, own, diagonal, o, total)
+        else:
+            own = _fill(along, weights, i, j, around, row, diagonal)
+            _apply_row(around, unit, row, r, own, diagonal, o, total)
+
+
+@_bare
+def _scale(b: Any, inverse: Any, damping: Any, out: Any) -> None:
+    """Write ``damping b / diagonal`` of a plane to ``out``, which has a rim."""
+    ny, nz = b.shape
+    for j in range(ny):
+        right, v, o = b[np.uintp(j)], inverse[np.uintp(j)], out[np.uintp(j + 1), 1:]
         for k in range(nz):
-            o[k] = e[k] + damping * ((right[k] + row[k]) * v[k] - e[k])
+            o[k] = damping * right[k] * v[k]
 
 
-@_inline
+@_bare
+def _multiply(x: Any, b: Any, q: Any, first: Any, second: Any) -> None:
+    """Add the products of nodes of a plane with those of two others to two rows."""
+    ny, nz = x.shape
+    for j in range(ny):
+        e, r, o = x[np.uintp(j)], b[np.uintp(j)], q[np.uintp(j)]
+        for k in range(nz):
+            first[k] += e[k] * r[k]
+            second[k] += e[k] * o[k]
+
+
+@_bare
+def _strip(x: Any, out: Any) -> None:
+    """Copy a plane with a rim to one without."""
+    ny, nz = out.shape
+    for j in range(ny):
+        e, o = x[np.uintp(j + 1), 1:], out[np.uintp(j)]
+        for k in range(nz):
+            o[k] = e[k]
+
+
+@_bare
+def _combine(z: Any, beta: Any, p: Any, out: Any) -> None:
+    """Write ``z + beta p`` of a plane to ``out``, which has a rim."""
+    ny, nz = z.shape
+    for j in range(ny):
+        way, old, o = z[np.uintp(j)], p[np.uintp(j)], out[np.uintp(j + 1), 1:]
+        for k in range(nz):
+            o[k] = way[k] + beta * old[k]
+
+
+@_bare
 def _pair(total: Any, share: Any, out: Any) -> None:
     """Write the weighted sums of neighbouring pairs, (n,), to ``out``, (ceil(n / 2),)."""
     n = total.size
@@ -145,15 +320,17 @@ def invert_diagonal(
     begin: int, end: int, rate: Any, along: Any, weights: Any, inverse: Any
 ) -> None:
     """Write one over the coefficients of the nodes themselves."""
-    nx, ny, nz = rate.shape
+    ny, nz = rate.shape[1:]
     row, diagonal = _rows(along)
+    wide = np.zeros(nz + 2, np.float32)
     for i in range(begin, end):
         for j in range(ny):
+            r, o = rate[i, j], inverse[i, j]
+            around = r, r, r, r, wide, r, r
             if weights is None:
                 base = _across(along, i, j)
             else:
-                base = _neighbours(rate, _beside(i, nx), along, weights, i, j, row, diagonal)
-            r, o = rate[i, j], inverse[i, j]
+                base = _fill(along, weights, i, j, around, row, diagonal)
             for k in range(nz):
                 o[k] = _ONE / (base + diagonal[k] + r[k])
 
@@ -180,42 +357,27 @@ def down(
     plane, while that is in the nearest memory; those beside the own planes are made once more.
     """
     nx, ny, nz = b.shape
-    sx, sy, sz = shares
     row, diagonal = _rows(along)
+    unit = _unit(along)
     start, stop = 2 * begin, min(2 * end, nx)
-    once, twice = np.empty((3, ny, nz), np.float32), np.empty((3, ny, nz), np.float32)
+    once, twice = _rimmed(ny, nz), _rimmed(ny, nz)
     total = np.empty((out.shape[1], nz), np.float32)
     for front in range(max(start - 2, 0), stop + 2):
         if front < nx:
-            for j in range(ny):
-                right, v, o = b[front, j], inverse[front, j], once[front % 3, j]
-                for k in range(nz):
-                    o[k] = damping[0] * right[k] * v[k]
+            _scale(b[front], inverse[front], damping[0], once[front % 3])
         i = front - 1
         if max(start - 1, 0) <= i < nx:
-            made = twice[i % 3]
-            _relax(i, once, b, inverse, along, weights, damping[1], row, diagonal, made)
+            made, damp = twice[i % 3], damping[1]
+            _relax(i, once, b, inverse, along, unit, weights, damp, row, diagonal, made, 1)
             if start <= i < stop:
-                for j in range(ny):
-                    o, e = x[i, j], made[j]
-                    for k in range(nz):
-                        o[k] = e[k]
+                _strip(made, x[i])
         i = front - 2
         if not start <= i < stop:
             continue
-        at = _ring(i, nx)
-        for j in range(ny):
-            left = total[j // 2]
-            if i % 2 == 0 and j % 2 == 0:
-                for k in range(nz):
-                    left[k] = _NONE
-            base = _neighbours(twice, at, along, weights, i, j, row, diagonal)
-            e, right, r, share = twice[at[1], j], b[i, j], rate[i, j], sx[i] * sy[j]
-            for k in range(nz):
-                left[k] += share * (right[k] + row[k] - (base + diagonal[k] + r[k]) * e[k])
+        _leave(i, twice, b, rate, along, unit, weights, shares, row, diagonal, total)
         if i % 2 == 1 or i == nx - 1:
             for j in range(out.shape[1]):
-                _pair(total[j], sz, out[i // 2, j])
+                _pair(total[j], shares[2], out[i // 2, j])
 
 
 @_jit
@@ -236,14 +398,14 @@ def average(begin: int, end: int, values: Any, shares: Any, out: Any) -> None:
             _pair(total, sz, out[coarse, across])
 
 
-@_inline
+@_bare
 def _prolong(i: int, coarse: Any, others: Any, nearness: Any, row: Any, x: Any, out: Any) -> None:
     """Write plane i of ``x``, and of the interpolation between nodes of the next level, to ``out``.
 
     Node i of an axis lies in i // 2; the second one that it lies between is ``others[i]``, with
-    the weight ``nearness[i]``.
+    the weight ``nearness[i]``. ``out`` has a rim.
     """
-    ny, nz = out.shape
+    ny, nz = x.shape[1:]
     ox, oy, oz = others
     wx, wy, wz = nearness
     n = coarse.shape[2]
@@ -254,7 +416,7 @@ def _prolong(i: int, coarse: Any, others: Any, nearness: Any, row: Any, x: Any, 
         wa, wb, wc, wd = (_ONE - u) * (_ONE - v), u * (_ONE - v), (_ONE - u) * v, u * v
         for k in range(n):
             row[k] = (wa * a[k] + wb * b[k]) + (wc * c[k] + wd * d[k])
-        e, o = x[i, j], out[j]
+        e, o = x[i, j], out[j + 1, 1:]
         inner = max(nz // 2 - 1, 1)
         for k in range(1, inner):
             m = 2 * k
@@ -279,16 +441,20 @@ def up(
     along: Any,
     weights: Any,
     damping: Any,
+    q: Any,
     out: Any,
+    parts: Any,
 ) -> None:
     """Add what the next level has found to ``x``, and write two damped Jacobi steps to ``out``.
 
-    They follow each other as in :func:`down`.
+    They follow each other as in :func:`down`. The products of each plane of ``out`` with ``b`` and
+    with ``q`` go to ``parts``, (2, nx).
     """
     nx, ny, nz = x.shape
     row, diagonal = _rows(along)
+    unit = _unit(along)
     between = np.empty(coarse.shape[2], np.float32)
-    added, once = np.empty((3, ny, nz), np.float32), np.empty((3, ny, nz), np.float32)
+    added, once = _rimmed(ny, nz), _rimmed(ny, nz)
     for front in range(max(begin - 2, 0), end + 2):
         if front < nx:
             _prolong(front, coarse, others, nearness, between, x, added[front % 3])
@@ -296,36 +462,46 @@ def up(
             i, beside = front - 1 - sweep, 1 - sweep
             if max(begin - beside, 0) <= i < min(end + beside, nx):
                 given, made = (added, once[i % 3]) if sweep == 0 else (once, out[i])
-                _relax(i, given, b, inverse, along, weights, damping[sweep], row, diagonal, made)
+                damp, rim = damping[sweep], beside
+                _relax(i, given, b, inverse, along, unit, weights, damp, row, diagonal, made, rim)
+        if begin <= i < end:
+            first, second = np.zeros(nz), np.zeros(nz)
+            _multiply(out[i], b[i], q[i], first, second)
+            parts[0, i], parts[1, i] = _sum(first), _sum(second)
 
 
 @_jit
-def direct(begin: int, end: int, p: Any, z: Any, beta: Any) -> None:
-    """Do ``p = z + beta p``."""
-    ny, nz = p.shape[1:]
-    for i in range(begin, end):
-        for j in range(ny):
-            old, new = p[i, j], z[i, j]
-            for k in range(nz):
-                old[k] = new[k] + beta * old[k]
-
-
-@_jit
-def apply_planes(
-    begin: int, end: int, p: Any, rate: Any, along: Any, weights: Any, out: Any, parts: Any
+def apply_direction(
+    begin: int,
+    end: int,
+    p: Any,
+    z: Any,
+    beta: Any,
+    rate: Any,
+    along: Any,
+    weights: Any,
+    new: Any,
+    out: Any,
+    parts: Any,
 ) -> None:
-    """Write ``A p`` to ``out``, and its product with ``p`` in each plane to ``parts``, (nx,)."""
-    ny, nz = p.shape[1:]
+    """Write ``z + beta p`` to ``new``, and ``A`` of it to ``out``.
+
+    Its product with ``new`` in each plane goes to ``parts``, (nx,).
+    """
+    nx, ny, nz = p.shape
     row, diagonal = _rows(along)
-    for i in range(begin, end):
+    unit = _unit(along)
+    planes = _rimmed(ny, nz)
+    for front in range(max(begin - 1, 0), end + 1):
+        if front < nx:
+            _combine(z[front], beta, p[front], planes[front % 3])
+        if begin <= front < end:
+            _strip(planes[front % 3], new[front])
+        i = front - 1
+        if not begin <= i < end:
+            continue
         total = np.zeros(nz)
-        for j in range(ny):
-            base = _neighbours(p, _beside(i, len(p)), along, weights, i, j, row, diagonal)
-            e, r, o = p[i, j], rate[i, j], out[i, j]
-            for k in range(nz):
-                w = (base + diagonal[k] + r[k]) * e[k] - row[k]
-                o[k] = w
-                total[k] += w * e[k]
+        _apply(i, planes, rate, along, unit, weights, row, diagonal, out, total)
         parts[i] = _sum(total)
 
 
@@ -345,21 +521,6 @@ def update_residual_planes(
                 left[k] = v
                 total[k] += v * v
         parts[i] = _sum(total)
-
-
-@_jit
-def products(begin: int, end: int, z: Any, r: Any, q: Any, parts: Any) -> None:
-    """Write ``z . r`` and ``z . q`` of each plane to ``parts``, (2, nx)."""
-    ny, nz = z.shape[1:]
-    for i in range(begin, end):
-        first, second = np.zeros(nz), np.zeros(nz)
-        for j in range(ny):
-            a, b, c = z[i, j], r[i, j], q[i, j]
-            for k in range(nz):
-                first[k] += a[k] * b[k]
-                second[k] += a[k] * c[k]
-        parts[0, i] = _sum(first)
-        parts[1, i] = _sum(second)
 
 
 @_jit

@@ -97,13 +97,14 @@ def _ends(position: FloatArray, few: float) -> tuple[FloatArray, FloatArray]:
     """Return the highest coordinates along each axis, rising, and the lowest, falling: (m, k)."""
     count = min(int(2.0 * few) + 1, len(position))
     stride = math.isqrt(len(position) // (6 * count))  # of a sample: what is sorted is then least
+    along = np.ascontiguousarray(position.T)
     if stride > 1:  # all that lie as far out as so many of a sample are as many or more
-        sample = np.sort(position[::stride], axis=0)
-        outer = np.zeros(len(position), dtype=np.bool_)
-        for x, low, high in zip(position.T, sample[count - 1], sample[-count], strict=True):
-            outer |= (x <= low) | (x >= high)
-        position = position[np.flatnonzero(outer)]
-    ordered = np.sort(position, axis=0)
+        sample = along[:, ::stride]
+        ends = count - 1, sample.shape[1] - count
+        low, high = np.partition(sample, ends, axis=1)[:, ends].T[:, :, None]
+        outer = ((along <= low) | (along >= high)).any(axis=0)
+        along = along.take(np.flatnonzero(outer), axis=1)
+    ordered = np.sort(along, axis=1).T
     return ordered[-count:], ordered[count - 1 :: -1]
 
 
