@@ -76,25 +76,20 @@ def _rows_around(x: Any, i: int, nx: int, j: int) -> Any:
 
 
 @_bare
-def _fill(level: Any, weights: Any, i: int, j: int, around: Any) -> Any:
-    """Write the weighted sums of the neighbours of the nodes (i, j, :) to the row of the level.
+def _fill(along: Any, weights: Any, i: int, j: int, around: Any, row: Any, diagonal: Any) -> Any:
+    """Write the weighted sums of the neighbours of the nodes (i, j, :) to ``row``, (nz,).
 
-    The coefficients of the nodes themselves are what is returned plus its ``diagonal``, which is
+    The coefficients of the nodes themselves are what is returned plus ``diagonal``, (nz,), which is
     written where it is not the same for all rows.
     """
-    along, unit, row, diagonal = level
     ax, ay, az = along
     a, b, c, d, e, f, _ = around
     low, high = az[0], az[1]
     wa, wb, wc, wd = ax[0, i], ax[1, i], ay[0, j], ay[1, j]
     if weights is None:
-        if unit != _NONE:
-            for k in range(row.size):
-                row[k] = unit * (((a[k] + b[k]) + (c[k] + d[k])) + (e[k] + f[k]))
-        else:
-            for k in range(row.size):
-                across = (wa * a[k] + wb * b[k]) + (wc * c[k] + wd * d[k])
-                row[k] = across + (low[k] * e[k] + high[k] * f[k])
+        for k in range(row.size):
+            across = (wa * a[k] + wb * b[k]) + (wc * c[k] + wd * d[k])
+            row[k] = across + (low[k] * e[k] + high[k] * f[k])
         return _across(along, i, j)
     wx, wy, wz = weights
     for k in range(row.size):
@@ -105,6 +100,18 @@ def _fill(level: Any, weights: Any, i: int, j: int, around: Any) -> Any:
         own = (ax[2, i] * la + ax[3, i] * lb) + (ay[2, j] * lc + ay[3, j] * ld)
         diagonal[k] = own + (az[2, k] * le + az[3, k] * lf)
     return _NONE
+
+
+@_bare
+def _near(around: Any, unit: Any, row: Any, k: int) -> Any:
+    """Return the weighted sum of the neighbours of the node k of a row.
+
+    It is in ``row``, or, where this is None, all have the coefficient ``unit``, a power of two.
+    """
+    if row is None:
+        a, b, c, d, e, f, _ = around
+        return unit * (((a[k] + b[k]) + (c[k] + d[k])) + (e[k] + f[k]))
+    return row[k]
 
 
 @_inline
@@ -127,6 +134,14 @@ def _sum(values: Any) -> float:
 
 
 @_bare
+def _relax_row(around: Any, unit: Any, row: Any, b: Any, v: Any, damping: Any, out: Any) -> None:
+    e = around[6]
+    for k in range(b.size):
+        near = _near(around, unit, row, k)
+        out[k] = e[k] + damping * ((b[k] + near) * v[k] - e[k])
+
+
+@_bare
 def _relax(
     i: int, x: Any, b: Any, inverse: Any, level: Any, weights: Any, damping: Any, out: Any, rim: Any
 ) -> None:
@@ -134,14 +149,28 @@ def _relax(
 
     ``x`` are planes by turns, see :func:`_rimmed`, and ``out`` one that has a ``rim`` or none.
     """
-    row = level[2]
-    nx, ny, nz = b.shape
+    along, unit, row, diagonal = level
+    nx, ny, _ = b.shape
     for j in range(ny):
         around, o = _rows_around(x, i, nx, j), out[np.uintp(j + rim), np.uintp(rim) :]
-        _fill(level, weights, i, j, around)
-        e, right, v = around[6], b[np.uintp(i), np.uintp(j)], inverse[np.uintp(i), np.uintp(j)]
-        for k in range(nz):
-            o[k] = e[k] + damping * ((right[k] + row[k]) * v[k] - e[k])
+        right, v = b[np.uintp(i), np.uintp(j)], inverse[np.uintp(i), np.uintp(j)]
+        if weights is None and unit != _NONE:
+            _relax_row(around, unit, None, right, v, damping, o)
+        else:
+            _fill(along, weights, i, j, around, row, diagonal)
+            _relax_row(around, unit, row, right, v, damping, o)
+
+
+@_bare
+def _leave_row(
+    around: Any, unit: Any, row: Any, b: Any, rate: Any, own: Any, share: Any, out: Any
+) -> None:
+    """Add a share of ``b - A x`` to ``out``."""
+    base, diagonal = own
+    e = around[6]
+    for k in range(b.size):
+        beside = b[k] + _near(around, unit, row, k)
+        out[k] += share * (beside - (base + diagonal[k] + rate[k]) * e[k])
 
 
 @_bare
@@ -149,17 +178,20 @@ def _leave(
     i: int, x: Any, b: Any, rate: Any, level: Any, weights: Any, shares: Any, total: Any
 ) -> None:
     """Add plane i of ``b - A x``, by the nodes' shares, to rows of the next level."""
-    _, _, row, diagonal = level
-    nx, ny, nz = b.shape
+    along, unit, row, diagonal = level
+    nx, ny, _ = b.shape
     for j in range(ny):
-        left, share = total[np.uintp(j // 2)], shares[0][i] * shares[1][j]
+        left = total[np.uintp(j // 2)]
         if i % 2 == 0 and j % 2 == 0:
             _clear(left)
-        around = _rows_around(x, i, nx, j)
-        base = _fill(level, weights, i, j, around)
-        e, right, r = around[6], b[np.uintp(i), np.uintp(j)], rate[np.uintp(i), np.uintp(j)]
-        for k in range(nz):
-            left[k] += share * (right[k] + row[k] - (base + diagonal[k] + r[k]) * e[k])
+        around, share = _rows_around(x, i, nx, j), shares[0][i] * shares[1][j]
+        right, r = b[np.uintp(i), np.uintp(j)], rate[np.uintp(i), np.uintp(j)]
+        if weights is None and unit != _NONE:
+            own = _across(along, i, j), diagonal
+            _leave_row(around, unit, None, right, r, own, share, left)
+        else:
+            own = _fill(along, weights, i, j, around, row, diagonal), diagonal
+            _leave_row(around, unit, row, right, r, own, share, left)
 
 
 @_bare
@@ -169,30 +201,29 @@ def _clear(row: Any) -> None:
 
 
 @_bare
-def _apply(i: int, x: Any, rate: Any, level: Any, weights: Any, out: Any, total: Any) -> None:
-    """Write plane i of ``A x`` to ``out``, and add its products with x to ``total``."""
-    _, _, row, diagonal = level
-    nx, ny, nz = rate.shape
-    for j in range(ny):
-        around = _rows_around(x, i, nx, j)
-        base = _fill(level, weights, i, j, around)
-        e, r, o = around[6], rate[np.uintp(i), np.uintp(j)], out[np.uintp(i), np.uintp(j)]
-        for k in range(nz):
-            w = (base + diagonal[k] + r[k]) * e[k] - row[k]
-            o[k] = w
-            total[k] += w * e[k]
+def _apply_row(around: Any, unit: Any, row: Any, rate: Any, own: Any, out: Any, total: Any) -> None:
+    """Write ``A x`` to ``out`` and add its products with x to ``total``."""
+    base, diagonal = own
+    e = around[6]
+    for k in range(rate.size):
+        w = (base + diagonal[k] + rate[k]) * e[k] - _near(around, unit, row, k)
+        out[k] = w
+        total[k] += w * e[k]
 
 
 @_bare
-def _invert(i: int, nothing: Any, rate: Any, level: Any, weights: Any, out: Any) -> None:
-    """Write one over the coefficients of the nodes of plane i, with ``nothing`` beside them."""
-    diagonal, around = level[3], _rows_around(nothing, 0, 1, 0)
-    _, ny, nz = rate.shape
+def _apply(i: int, x: Any, rate: Any, level: Any, weights: Any, out: Any, total: Any) -> None:
+    """Write plane i of ``A x`` to ``out``, and add its products with x to ``total``."""
+    along, unit, row, diagonal = level
+    nx, ny, _ = rate.shape
     for j in range(ny):
-        base = _fill(level, weights, i, j, around)
+        around = _rows_around(x, i, nx, j)
         r, o = rate[np.uintp(i), np.uintp(j)], out[np.uintp(i), np.uintp(j)]
-        for k in range(nz):
-            o[k] = _ONE / (base + diagonal[k] + r[k])
+        if weights is None and unit != _NONE:
+            _apply_row(around, unit, None, r, (_across(along, i, j), diagonal), o, total)
+        else:
+            own = _fill(along, weights, i, j, around, row, diagonal), diagonal
+            _apply_row(around, unit, row, r, own, o, total)
 
 
 @_bare
@@ -252,9 +283,19 @@ def invert_diagonal(
     begin: int, end: int, rate: Any, along: Any, weights: Any, inverse: Any
 ) -> None:
     """Write one over the coefficients of the nodes themselves."""
-    level, nothing = (along, _unit(along), *_rows(along)), _rimmed(1, rate.shape[2])
+    ny, nz = rate.shape[1:]
+    row, diagonal = _rows(along)
+    wide = np.zeros(nz + 2, np.float32)
     for i in range(begin, end):
-        _invert(i, nothing, rate, level, weights, inverse)
+        for j in range(ny):
+            r, o = rate[i, j], inverse[i, j]
+            around = r, r, r, r, wide, r, r
+            if weights is None:
+                base = _across(along, i, j)
+            else:
+                base = _fill(along, weights, i, j, around, row, diagonal)
+            for k in range(nz):
+                o[k] = _ONE / (base + diagonal[k] + r[k])
 
 
 @_jit
