@@ -24,6 +24,7 @@ from multicell.compiling import INLINED, KERNEL, UNCOUNTED, typed
 _jit = typed(**KERNEL, nogil=True)
 # a call for each row would take as long as its work
 _inline = typed(**INLINED, nogil=True)
+# they count no references to what they are given, so that they must not return arrays to others
 _bare = typed(**UNCOUNTED, forceinline=True, nogil=True)
 
 _NONE = np.float32(0.0)
@@ -142,28 +143,17 @@ def _relax_row(around: Any, unit: Any, row: Any, b: Any, v: Any, damping: Any, o
 
 @_bare
 def _relax(
-    i: int,
-    x: Any,
-    b: Any,
-    inverse: Any,
-    along: Any,
-    unit: Any,
-    weights: Any,
-    damping: Any,
-    row: Any,
-    diagonal: Any,
-    out: Any,
-    rim: int,
+    i: int, x: Any, b: Any, inverse: Any, level: Any, weights: Any, damping: Any, out: Any, rim: Any
 ) -> None:
     """Write plane i of ``x + damping (b - A x) / diagonal``, a damped Jacobi step, to ``out``.
 
     ``x`` are planes by turns, see :func:`_rimmed`, and ``out`` one that has a ``rim`` or none.
     """
+    along, unit, row, diagonal = level
     nx, ny, _ = b.shape
     for j in range(ny):
-        around = _rows_around(x, i, nx, j)
+        around, o = _rows_around(x, i, nx, j), out[np.uintp(j + rim), np.uintp(rim) :]
         right, v = b[np.uintp(i), np.uintp(j)], inverse[np.uintp(i), np.uintp(j)]
-        o = out[np.uintp(j + rim), np.uintp(rim) :]
         if weights is None and unit != _NONE:
             _relax_row(around, unit, None, right, v, damping, o)
         else:
@@ -173,38 +163,22 @@ def _relax(
 
 @_bare
 def _leave_row(
-    around: Any,
-    unit: Any,
-    row: Any,
-    b: Any,
-    rate: Any,
-    own: Any,
-    diagonal: Any,
-    share: Any,
-    out: Any,
+    around: Any, unit: Any, row: Any, b: Any, rate: Any, own: Any, share: Any, out: Any
 ) -> None:
     """Add a share of ``b - A x`` to ``out``."""
+    base, diagonal = own
     e = around[6]
     for k in range(b.size):
         beside = b[k] + _near(around, unit, row, k)
-        out[k] += share * (beside - (own + diagonal[k] + rate[k]) * e[k])
+        out[k] += share * (beside - (base + diagonal[k] + rate[k]) * e[k])
 
 
 @_bare
 def _leave(
-    i: int,
-    x: Any,
-    b: Any,
-    rate: Any,
-    along: Any,
-    unit: Any,
-    weights: Any,
-    shares: Any,
-    row: Any,
-    diagonal: Any,
-    total: Any,
+    i: int, x: Any, b: Any, rate: Any, level: Any, weights: Any, shares: Any, total: Any
 ) -> None:
     """Add plane i of ``b - A x``, by the nodes' shares, to rows of the next level."""
+    along, unit, row, diagonal = level
     nx, ny, _ = b.shape
     for j in range(ny):
         left = total[np.uintp(j // 2)]
@@ -213,11 +187,11 @@ def _leave(
         around, share = _rows_around(x, i, nx, j), shares[0][i] * shares[1][j]
         right, r = b[np.uintp(i), np.uintp(j)], rate[np.uintp(i), np.uintp(j)]
         if weights is None and unit != _NONE:
-            own = _across(along, i, j)
-            _leave_row(around, unit, None, right, r, own, diagonal, share, left)
+            own = _across(along, i, j), diagonal
+            _leave_row(around, unit, None, right, r, own, share, left)
         else:
-            own = _fill(along, weights, i, j, around, row, diagonal)
-            _leave_row(around, unit, row, right, r, own, diagonal, share, left)
+            own = _fill(along, weights, i, j, around, row, diagonal), diagonal
+            _leave_row(around, unit, row, right, r, own, share, left)
 
 
 @_bare
@@ -227,41 +201,29 @@ def _clear(row: Any) -> None:
 
 
 @_bare
-def _apply_row(
-    around: Any, unit: Any, row: Any, rate: Any, own: Any, diagonal: Any, out: Any, total: Any
-) -> None:
+def _apply_row(around: Any, unit: Any, row: Any, rate: Any, own: Any, out: Any, total: Any) -> None:
     """Write ``A x`` to ``out`` and add its products with x to ``total``."""
+    base, diagonal = own
     e = around[6]
     for k in range(rate.size):
-        w = (own + diagonal[k] + rate[k]) * e[k] - _near(around, unit, row, k)
+        w = (base + diagonal[k] + rate[k]) * e[k] - _near(around, unit, row, k)
         out[k] = w
         total[k] += w * e[k]
 
 
 @_bare
-def _apply(
-    i: int,
-    x: Any,
-    rate: Any,
-    along: Any,
-    unit: Any,
-    weights: Any,
-    row: Any,
-    diagonal: Any,
-    out: Any,
-    total: Any,
-) -> None:
+def _apply(i: int, x: Any, rate: Any, level: Any, weights: Any, out: Any, total: Any) -> None:
     """Write plane i of ``A x`` to ``out``, and add its products with x to ``total``."""
+    along, unit, row, diagonal = level
     nx, ny, _ = rate.shape
     for j in range(ny):
         around = _rows_around(x, i, nx, j)
         r, o = rate[np.uintp(i), np.uintp(j)], out[np.uintp(i), np.uintp(j)]
         if weights is None and unit != _NONE:
-            own = _across(along, i, j)
-            _apply_row(around, unit, None, r, own, diagonal, o, total)
+            _apply_row(around, unit, None, r, (_across(along, i, j), diagonal), o, total)
         else:
-            own = _fill(along, weights, i, j, around, row, diagonal)
-            _apply_row(around, unit, row, r, own, diagonal, o, total)
+            own = _fill(along, weights, i, j, around, row, diagonal), diagonal
+            _apply_row(around, unit, row, r, own, o, total)
 
 
 @_bare
@@ -282,6 +244,7 @@ def _multiply(x: Any, b: Any, q: Any, first: Any, second: Any) -> None:
         e, r, o = x[np.uintp(j)], b[np.uintp(j)], q[np.uintp(j)]
         for k in range(nz):
             first[k] += e[k] * r[k]
+        for k in range(nz):
             second[k] += e[k] * o[k]
 
 
@@ -357,8 +320,7 @@ def down(
     plane, while that is in the nearest memory; those beside the own planes are made once more.
     """
     nx, ny, nz = b.shape
-    row, diagonal = _rows(along)
-    unit = _unit(along)
+    level = along, _unit(along), *_rows(along)
     start, stop = 2 * begin, min(2 * end, nx)
     once, twice = _rimmed(ny, nz), _rimmed(ny, nz)
     total = np.empty((out.shape[1], nz), np.float32)
@@ -367,14 +329,14 @@ def down(
             _scale(b[front], inverse[front], damping[0], once[front % 3])
         i = front - 1
         if max(start - 1, 0) <= i < nx:
-            made, damp = twice[i % 3], damping[1]
-            _relax(i, once, b, inverse, along, unit, weights, damp, row, diagonal, made, 1)
+            made = twice[i % 3]
+            _relax(i, once, b, inverse, level, weights, damping[1], made, 1)
             if start <= i < stop:
                 _strip(made, x[i])
         i = front - 2
         if not start <= i < stop:
             continue
-        _leave(i, twice, b, rate, along, unit, weights, shares, row, diagonal, total)
+        _leave(i, twice, b, rate, level, weights, shares, total)
         if i % 2 == 1 or i == nx - 1:
             for j in range(out.shape[1]):
                 _pair(total[j], shares[2], out[i // 2, j])
@@ -451,8 +413,7 @@ def up(
     with ``q`` go to ``parts``, (2, nx).
     """
     nx, ny, nz = x.shape
-    row, diagonal = _rows(along)
-    unit = _unit(along)
+    level = along, _unit(along), *_rows(along)
     between = np.empty(coarse.shape[2], np.float32)
     added, once = _rimmed(ny, nz), _rimmed(ny, nz)
     for front in range(max(begin - 2, 0), end + 2):
@@ -462,8 +423,7 @@ def up(
             i, beside = front - 1 - sweep, 1 - sweep
             if max(begin - beside, 0) <= i < min(end + beside, nx):
                 given, made = (added, once[i % 3]) if sweep == 0 else (once, out[i])
-                damp, rim = damping[sweep], beside
-                _relax(i, given, b, inverse, along, unit, weights, damp, row, diagonal, made, rim)
+                _relax(i, given, b, inverse, level, weights, damping[sweep], made, beside)
         if begin <= i < end:
             first, second = np.zeros(nz), np.zeros(nz)
             _multiply(out[i], b[i], q[i], first, second)
@@ -489,8 +449,7 @@ def apply_direction(
     Its product with ``new`` in each plane goes to ``parts``, (nx,).
     """
     nx, ny, nz = p.shape
-    row, diagonal = _rows(along)
-    unit = _unit(along)
+    level = along, _unit(along), *_rows(along)
     planes = _rimmed(ny, nz)
     for front in range(max(begin - 1, 0), end + 1):
         if front < nx:
@@ -501,7 +460,7 @@ def apply_direction(
         if not begin <= i < end:
             continue
         total = np.zeros(nz)
-        _apply(i, planes, rate, along, unit, weights, row, diagonal, out, total)
+        _apply(i, planes, rate, level, weights, out, total)
         parts[i] = _sum(total)
 
 
