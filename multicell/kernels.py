@@ -12,10 +12,12 @@ import base64
 import hashlib
 import json
 import os
+import re
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from zipfile import ZIP_DEFLATED, ZipFile
@@ -24,8 +26,7 @@ import llvmlite
 import numba
 
 from multicell import __version__
-from multicell.compiling.cache import PACKAGE_FOLDER
-from multicell.compiling.numba_068 import files_of, processor
+from multicell.compiling.numba_068 import processor
 from multicell.compiling.pack import LEVELS, setting
 from multicell.host.closed import PACK
 
@@ -43,72 +44,57 @@ def build_pack(
     lacking = {f"+{name}" for name in LEVELS[level].split()} - set(features.split(","))
     if lacking:
         raise SystemExit(f"this processor cannot run code for {level}: {', '.join(lacking)}")
-    folder.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory() as work:
-        chosen = {"CACHE_DIR": f"{work}/code", "CPU_NAME": level, "CPU_FEATURES": ""}
-        others = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")}
-        environment = others | {f"NUMBA_{name}": value for name, value in chosen.items()}
-        sets = [part for change in changes for part in ("--set", change)]
-        run = [sys.executable, "-P", "-m", "multicell", "run", "--no-report", *sets]
-        for number, scene in enumerate(scenes):
-            for threads in dict.fromkeys((1, os.cpu_count() or 1)):
-                output = ["-o", f"{work}/{number}-{threads}", "--threads", str(threads)]
-                subprocess.run([*run, *output, scene], env=environment, check=True)
-        compiled = dict(_compiled(f"{work}/code"))
-    about = {
-        "level": level,
-        "processor": [triple, level, ""],
-        "setting": setting(),
-        "files": {name: hashlib.sha256(code).hexdigest() for name, code in compiled.items()},
-    }
-    return _write_wheel(folder, level, {"about.json": json.dumps(about).encode(), **compiled})
-
-
-def _compiled(code: str) -> Iterator[tuple[str, bytes]]:
-    for source in sorted(Path(PACKAGE_FOLDER).rglob("*.py")):
-        room = source.parent.relative_to(PACKAGE_FOLDER)
-        for file in files_of(code, str(source)):
-            yield (room / Path(file).name).as_posix(), Path(file).read_bytes()
+        environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")}
+        environment |= {"NUMBA_CPU_NAME": level, "NUMBA_CPU_FEATURES": ""}
+        environment |= {"MULTICELL_NO_PACK": "1"}
+        environment["NUMBA_CACHE_DIR"] = code = f"{work}/code"
+        run = [sys.executable, "-P", "-m", "multicell", "run", "--no-report", "--overwrite"]
+        run += ["-o", f"{work}/out", *(part for change in changes for part in ("--set", change))]
+        for scene, threads in product(scenes, sorted({1, os.cpu_count() or 1})):
+            subprocess.run([*run, "--threads", str(threads), scene], env=environment, check=True)
+        # numba's folders are called by rooms and digests of their paths
+        found = {(x.parent.name.rpartition("_")[0], x.name): x for x in Path(code).glob("*/*.nb?")}
+        files = {"/".join(name): file.read_bytes() for name, file in sorted(found.items())}
+    digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
+    processors = [triple, level, ""]
+    about = {"level": level, "for": processors, "setting": setting(), "files": digests}
+    return _write_wheel(folder, level, {"about.json": json.dumps(about).encode(), **files})
 
 
 def _write_wheel(folder: Path, level: str, files: dict[str, bytes]) -> Path:
     version = f"{__version__}+{level.replace('-', '.')}"
-    python = f"cp{sys.version_info.major}{sys.version_info.minor}"
-    system = sysconfig.get_platform().replace("-", "_").replace(".", "_")
-    needed = {"multicell": __version__, "numba": numba.__version__, "llvmlite": llvmlite.__version__}
-    metadata = f"Metadata-Version: 2.1\nName: multicell-kernels\nVersion: {version}\n"
-    metadata += f"Summary: Compiled kernels of multicell for {level}\n"
-    metadata += "".join(f"Requires-Dist: {name}=={number}\n" for name, number in needed.items())
-    tags = "Wheel-Version: 1.0\nGenerator: multicell\nRoot-Is-Purelib: false\n"
+    python = "cp{}{}".format(*sys.version_info)
+    tag = f"{python}-{python}-{re.sub('[-.]', '_', sysconfig.get_platform())}"
+    metadata = f"""Metadata-Version: 2.1
+Name: multicell-kernels
+Version: {version}
+Summary: Compiled kernels of multicell for {level}
+Requires-Dist: multicell=={__version__}
+Requires-Dist: numba=={numba.__version__}
+Requires-Dist: llvmlite=={llvmlite.__version__}
+"""
+    about = f"Wheel-Version: 1.0\nGenerator: multicell\nRoot-Is-Purelib: false\nTag: {tag}\n"
     info = f"{PACK}-{version}.dist-info"
     whole = {f"{PACK}/{name}": content for name, content in files.items()}
-    whole[f"{info}/METADATA"] = metadata.encode()
-    whole[f"{info}/WHEEL"] = f"{tags}Tag: {python}-{python}-{system}\n".encode()
-    record = f"{info}/RECORD"
-    lines = [f"{name},{_recorded(content)}\n" for name, content in whole.items()]
-    whole[record] = "".join([*lines, f"{record},,\n"]).encode()
-    path = folder / f"{PACK}-{version}-{python}-{python}-{system}.whl"
+    whole |= {f"{info}/METADATA": metadata.encode(), f"{info}/WHEEL": about.encode()}
+    record = f"{info}/RECORD,,\n"
+    for name, content in whole.items():
+        digest = base64.urlsafe_b64encode(hashlib.sha256(content).digest()).decode().rstrip("=")
+        record += f"{name},sha256={digest},{len(content)}\n"
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{PACK}-{version}-{tag}.whl"
     with ZipFile(path, "w", ZIP_DEFLATED) as wheel:
-        for name, content in whole.items():
+        for name, content in (whole | {f"{info}/RECORD": record.encode()}).items():
             wheel.writestr(name, content)
     return path
 
 
-def _recorded(content: bytes) -> str:
-    digest = base64.urlsafe_b64encode(hashlib.sha256(content).digest()).decode().rstrip("=")
-    return f"sha256={digest},{len(content)}"
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Parse a command line, build the pack and print where it is."""
+if __name__ == "__main__":
     parser = argparse.ArgumentParser("python -m multicell.kernels", description=__doc__)
     parser.add_argument("folder", type=Path, help="where the wheel is written")
     parser.add_argument("scenes", nargs="*", default=["spheroid"], help="names or files of scenes")
     parser.add_argument("--level", choices=LEVELS, default="x86-64-v3", help="of the processors")
     parser.add_argument("--set", action="append", default=[], help="KEY=VALUE, for all scenes")
-    given = parser.parse_args(arguments)
+    given = parser.parse_args()
     print(build_pack(given.folder, given.scenes, given.level, given.set))
-
-
-if __name__ == "__main__":
-    main()

@@ -17,9 +17,9 @@ files of other users         safety     to read compiled code is to run it: inde
                                         are not the user's or root's own count as absent.
 boxes of arrays and tuples   safety     numba's run Python, and do not ask whether it raised: a
                                         signal's handler there ends in a segmentation fault.
-packs of compiled kernels    speed      what the folder of compiled code lacks is looked for in a pack
-                                        that is installed (:mod:`multicell.compiling.pack`): four
-                                        fifths of the first command.
+packs of compiled kernels    speed      kernels that the folder of compiled code lacks are looked
+                                        for in :mod:`multicell.compiling.pack`: four fifths of the
+                                        first command.
 folder of compiled code      safety     one that others can write to is replaced by a private one
                                         (:mod:`multicell.host.closed`).
 signals while numba works    safety     an exception within its lock leaves parts of a function
@@ -53,8 +53,6 @@ version each row is tried without the change first, by its test in ``tests/test_
 
 from __future__ import annotations
 
-import glob
-import os
 import sys
 from collections.abc import Callable
 from typing import Any, final
@@ -82,8 +80,8 @@ __all__ = [
     "cgutils",
     "change_numba",
     "event",
-    "files_of",
     "install_recorder",
+    "installed_pack",
     "is_on_disk",
     "processor",
 ]
@@ -209,9 +207,8 @@ class _PackFile(caching.IndexDataCacheFile):
     """Numba's index of a kernel, and its code, in a pack: what is not as packed is not read."""
 
     def __init__(self, cache: Any, pack: Pack) -> None:
-        folder = pack.folder_of(cache._impl.locator._py_file)
-        stamp = cache._cache_file._source_stamp
-        super().__init__(folder, cache._impl.filename_base, stamp)  # type: ignore[no-untyped-call]
+        own, folder = cache._cache_file, pack.folder_of(cache._impl.locator._py_file)
+        super().__init__(folder, cache._impl.filename_base, own._source_stamp)  # type: ignore[no-untyped-call]
         self.pack = pack
 
     def _load_index(self) -> Any:
@@ -235,8 +232,8 @@ def _from_pack(cache: Any, types_of: Any, target: Any) -> Any:
     try:
         data = file.load((signature, file.pack.processor, code))  # type: ignore[no-untyped-call]
         found = None if data is None else cache._impl.rebuild(target, data)
-    except Exception as error:  # whatever reading raises: all is compiled from here on
-        file.pack.refusal = f"{file._index_name} cannot be read ({type(error).__name__}: {error})"
+    except Exception as error:  # whatever reading raises: from here on all is compiled
+        file.pack.refusal = f"{file._index_name} cannot be read ({error!r})"
         return None
     file.pack.loaded += found is not None
     return found
@@ -245,14 +242,6 @@ def _from_pack(cache: Any, types_of: Any, target: Any) -> Any:
 def processor() -> Processor:
     """Return target, name and features of the processor that numba compiles for."""
     return cpu_target.target_context.codegen().magic_tuple()  # type: ignore[no-any-return]
-
-
-def files_of(cache_folder: str, source: str) -> list[str]:
-    """Return numba's files for the functions of a source in a folder of compiled code."""
-    of_source = caching._CacheLocator.get_suitable_cache_subpath(source)
-    base = os.path.splitext(os.path.basename(source))[0]
-    place = os.path.join(glob.escape(cache_folder), of_source, f"{base}.*.nb[ic]")
-    return sorted(glob.glob(place))
 
 
 _Dispatcher: Any = Dispatcher
@@ -274,7 +263,7 @@ def is_on_disk(dispatcher: Any) -> bool:
     if dispatcher._cache._cache_file._load_index():
         return True
     file = _pack_file(dispatcher._cache)
-    return file is not None and bool(file._load_index())
+    return file is not None and file.pack.is_sound(file._index_path)
 
 
 def _constant(c: Any, value: Any) -> Any:

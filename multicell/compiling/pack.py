@@ -18,7 +18,7 @@ import llvmlite
 import numba
 import numpy as np
 
-from multicell.compiling.cache import PACKAGE_FOLDER, stamp
+from multicell.compiling.cache import stamp
 from multicell.host.closed import pack_folder, why_open
 
 _V2: Final = "cmov crc32 cx16 cx8 fxsr mmx popcnt sahf sse sse2 sse3 sse4.1 sse4.2 ssse3"
@@ -36,22 +36,20 @@ Processor = tuple[str, str, str]
 
 def setting() -> dict[str, str]:
     """Return what decides compiled code, the processor apart, by names for messages."""
-    svml = numba.config.USING_SVML  # type: ignore[attr-defined]
     return {
         "Python": str(sys.implementation.cache_tag),
         "numba": numba.__version__,
         "llvmlite": llvmlite.__version__,
         "NumPy": ".".join(np.__version__.split(".")[:2]),
-        "Intel's vector mathematics": "used" if svml else "absent",
+        "SVML": str(numba.config.USING_SVML),  # type: ignore[attr-defined]
         "sources": stamp().hex(),
     }
 
 
 @final
 class Pack:
-    """A folder with compiled kernels.
+    """A folder with compiled kernels: ``about.json``, and numba's files in folders by rooms.
 
-    - ``folder``: with ``about.json`` and numba's files, in folders as those of the package
     - ``processor``: that numba compiles for in this process
 
     - ``refusal``: why it is not used, in words; empty if it is
@@ -60,59 +58,41 @@ class Pack:
 
     def __init__(self, folder: str, processor: Processor) -> None:
         self.folder, self.loaded, self.level = folder, 0, ""
-        self.refusal = self._read() or self._difference(processor)
-
-    def _read(self) -> str:
         try:
-            if why := why_open(self.folder):
-                return why
-            with open(os.path.join(self.folder, "about.json"), encoding="utf-8") as file:
-                about = json.load(file)
-            self.level, self.processor = str(about["level"]), tuple(about["processor"])
-            self._setting, self._files = dict(about["setting"]), dict(about["files"])
-            self._needed = set(LEVELS[self.level].split())
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            return f"about.json cannot be read ({type(error).__name__}: {error})"
-        return ""
+            self.refusal = why_open(folder) or self._read(processor)
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            self.refusal = f"about.json cannot be read ({error!r})"
 
-    def _difference(self, processor: Processor) -> str:
+    def _read(self, processor: Processor) -> str:
+        with open(os.path.join(self.folder, "about.json"), encoding="utf-8") as file:
+            about = json.load(file)
+        self.level, self.processor = about["level"], tuple(about["for"])
+        self._files: dict[str, str] = dict(about["files"])
+        lacking = set(LEVELS[self.level].split()) - set(processor[2].replace("+", "").split(","))
         for name, own in setting().items():
-            if (other := self._setting.get(name)) != own:
-                return f"it is of other {name}: {other}, not {own}"
-        if processor == self.processor:
+            if about["setting"][name] != own:
+                return f"it is for {name} {about['setting'][name]}, here is {own}"
+        if processor == self.processor or (processor[0] == self.processor[0] and not lacking):
             return ""
-        given = {part[1:] for part in processor[2].split(",") if part.startswith("+")}
-        if processor[0] != self.processor[0]:
-            return f"it is for {self.processor[0]}"
-        lacking = ", ".join(sorted(self._needed - given))
-        return f"it is for {self.level}; this processor lacks {lacking}" if lacking else ""
+        return f"it is for {self.level}, {self.processor[0]}, not for {processor[:2]}"
 
     def folder_of(self, source: str) -> str:
         """Return the folder with the kernels of a file of the package."""
-        place = os.path.relpath(os.path.dirname(source), PACKAGE_FOLDER)
-        return os.path.normpath(os.path.join(self.folder, place))
+        return os.path.join(self.folder, os.path.basename(os.path.dirname(source)))
 
     def is_sound(self, path: str) -> bool:
         """Return whether a file is the one that was packed."""
-        name = os.path.relpath(path, self.folder).replace(os.sep, "/")
-        try:
-            return name in self._files and digest_of(path) == self._files[name]
-        except OSError:
-            return False
-
-    def words(self) -> str:
-        """Return in words what it is, and whether it is used."""
-        if self.refusal:
-            return f"{self.folder} is not used: {self.refusal}"
-        damaged = [name for name in self._files if not self.is_sound(f"{self.folder}/{name}")]
-        wrong = f", of which {len(damaged)} are damaged" if damaged else ""
-        return f"{self.folder}, for {self.level}: {len(self._files)} files{wrong}"
+        digest = self._files.get("/".join(path.split(os.sep)[-2:]))
+        return digest is not None and digest == digest_of(path)
 
 
 def digest_of(path: str) -> str:
-    """Return the digest of a file."""
-    with open(path, "rb") as file:
-        return hashlib.sha256(file.read()).hexdigest()
+    """Return the digest of a file; empty if it cannot be read."""
+    try:
+        with open(path, "rb") as file:
+            return hashlib.sha256(file.read()).hexdigest()
+    except OSError:
+        return ""
 
 
 @cache

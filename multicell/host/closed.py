@@ -131,7 +131,7 @@ def may_be_on_disk(module: str, kernel: str) -> bool:
     if not named:
         places.append(os.path.join(glob.escape(folder), "__pycache__", file))
     if pack := pack_folder():
-        places.append(os.path.join(glob.escape(pack), *above, file))
+        places.append(os.path.join(glob.escape(pack), os.path.basename(folder), file))
     return any(next(glob.iglob(place), None) for place in places)
 
 
@@ -139,9 +139,11 @@ def pack_folder() -> str:
     """Return the folder of an installed pack of compiled kernels; nothing where there is none.
 
     It is looked for where packages are installed, never in the working folder: to read compiled
-    code is to run it.
+    code is to run it. With ``MULTICELL_NO_PACK`` in the environment there is none.
     """
-    places = [*site.getsitepackages(), *([site.getusersitepackages()] * bool(site.ENABLE_USER_SITE))]
+    places = [] if os.environ.get("MULTICELL_NO_PACK") else site.getsitepackages()
+    if places and site.ENABLE_USER_SITE:
+        places.append(site.getusersitepackages())
     found = (os.path.join(place, PACK) for place in places)
     return next((folder for folder in found if os.path.isfile(f"{folder}/about.json")), "")
 
