@@ -16,10 +16,10 @@ import pytest
 
 import multicell as mc
 from multicell.compiling import pack as packs
+from multicell.compiling.kernels import build_pack
 from multicell.compiling.numba_068 import processor
-from multicell.compiling.pack import LEVELS, Pack, setting
+from multicell.compiling.pack import PROCESSOR_LEVELS, Pack, setting
 from multicell.host import closed
-from multicell.kernels import build_pack
 
 LEVEL = "x86-64-v2" if platform.machine() == "x86_64" else "generic"
 CHANGES = {"duration": "1 min", "initial.count": 20}
@@ -160,10 +160,10 @@ def made(tmp_path):
     return open_pack
 
 
-@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("level", PROCESSOR_LEVELS)
 def test_levels_are_used_by_processors_that_have_their_features(made, level):
     triple = processor()[0]
-    needed = [f"+{name}" for name in LEVELS[level].split()]
+    needed = [f"+{name}" for name in PROCESSOR_LEVELS[level].split()]
     assert made(level, (triple, "znver9", ",".join([*needed, "+more", "-other"]))).refusal == ""
     assert made(level, (triple, level, "")).refusal == ""
     for lacking in needed:
@@ -211,6 +211,6 @@ def test_a_pack_is_not_looked_for_in_the_working_folder(tmp_path, monkeypatch):
 
 
 def test_a_level_that_this_processor_lacks_is_not_built(tmp_path, monkeypatch):
-    monkeypatch.setitem(packs.LEVELS, "x86-64-v4", "avx9")
+    monkeypatch.setitem(packs.PROCESSOR_LEVELS, "x86-64-v4", "avx9")
     with pytest.raises(SystemExit, match=r"cannot run code for x86-64-v4: \+avx9"):
         build_pack(tmp_path, ["settle"], "x86-64-v4")

@@ -1,6 +1,6 @@
 """Packs of compiled kernels: found where packages are installed, checked, and read where they fit.
 
-``python -m multicell.kernels`` makes a pack for processors of one level. It is used for kernels
+``python -m multicell.compiling.kernels`` makes a pack for processors of one level. It is used for kernels
 that numba's cache on disk lacks, if what decides the code is the same here as where it was made.
 Anything else counts as if there were no pack; ``multicell doctor`` reports why.
 """
@@ -24,7 +24,7 @@ from multicell.host.closed import pack_folder, why_open
 _V2: Final = "cmov crc32 cx16 cx8 fxsr mmx popcnt sahf sse sse2 sse3 sse4.1 sse4.2 ssse3"
 _V3: Final = f"{_V2} avx avx2 bmi bmi2 f16c fma lzcnt movbe xsave"
 _V4: Final = f"{_V3} avx512bw avx512cd avx512dq avx512f avx512vl"
-LEVELS: Final = {"generic": "", "x86-64-v2": _V2, "x86-64-v3": _V3, "x86-64-v4": _V4}
+PROCESSOR_LEVELS: Final = {"generic": "", "x86-64-v2": _V2, "x86-64-v3": _V3, "x86-64-v4": _V4}
 """Levels of processors, as LLVM calls them, and the features that their code needs.
 
 They are those of the x86-64 psABI. ``"generic"`` code runs on all processors of the same kind.
@@ -35,7 +35,7 @@ Processor = tuple[str, str, str]
 
 
 def setting() -> dict[str, str]:
-    """Return what decides compiled code, the processor apart, by names for messages."""
+    """Return the versions and settings that decide compiled code, by names for messages."""
     return {
         "Python": str(sys.implementation.cache_tag),
         "numba": numba.__version__,
@@ -53,7 +53,7 @@ class Pack:
     - ``processor``: that numba compiles for in this process
 
     - ``refusal``: why it is not used, in words; empty if it is
-    - ``level``: key of :data:`LEVELS`; ``loaded``: number of kernels that came from it
+    - ``level``: key of :data:`PROCESSOR_LEVELS`; ``loaded``: number of kernels that came from it
     """
 
     def __init__(self, folder: str, processor: Processor) -> None:
@@ -68,7 +68,9 @@ class Pack:
             about = json.load(file)
         self.level, self.processor = about["level"], tuple(about["for"])
         self._files: dict[str, str] = dict(about["files"])
-        lacking = set(LEVELS[self.level].split()) - set(processor[2].replace("+", "").split(","))
+        lacking = set(PROCESSOR_LEVELS[self.level].split()) - set(
+            processor[2].replace("+", "").split(",")
+        )
         for name, own in setting().items():
             if about["setting"][name] != own:
                 return f"it is for {name} {about['setting'][name]}, here is {own}"

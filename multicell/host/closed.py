@@ -19,7 +19,7 @@ from typing import Any, Final
 
 PACKAGE: Final = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 PACK: Final = "multicell_kernels"
-"""Name of the folder with compiled kernels that ``python -m multicell.kernels`` packs."""
+"""Name of the folder with compiled kernels that ``python -m multicell.compiling.kernels`` packs."""
 _OWNERS: Final = hasattr(os, "geteuid")
 _OTHERS: Final = stat.S_IWGRP | stat.S_IWOTH
 

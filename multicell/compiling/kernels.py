@@ -1,6 +1,6 @@
 """Pack of compiled kernels, which spares a new installation the compilation of its first runs.
 
-``python -m multicell.kernels FOLDER SCENE...`` runs scenes on an empty cache, with numba compiling
+``python -m multicell.compiling.kernels FOLDER SCENE...`` runs scenes on an empty cache, with numba compiling
 for a level of processors, and writes what was compiled into a wheel. Installed beside multicell it
 serves all processors of that level (:mod:`multicell.compiling.pack`).
 """
@@ -27,7 +27,7 @@ import numba
 
 from multicell import __version__
 from multicell.compiling.numba_068 import processor
-from multicell.compiling.pack import LEVELS, setting
+from multicell.compiling.pack import PROCESSOR_LEVELS, setting
 from multicell.host.closed import PACK
 
 
@@ -37,11 +37,11 @@ def build_pack(
     """Run scenes with kernels for a level of processors, and return the wheel with these.
 
     - ``folder``: of the wheel; ``scenes``: names or paths, as ``multicell run`` takes them
-    - ``level``: key of :data:`multicell.compiling.pack.LEVELS` that this processor has
+    - ``level``: key of :data:`multicell.compiling.pack.PROCESSOR_LEVELS` that this processor has
     - ``changes``: of all scenes, as ``--set`` takes them
     """
     triple, _, features = processor()
-    lacking = {f"+{name}" for name in LEVELS[level].split()} - set(features.split(","))
+    lacking = {f"+{name}" for name in PROCESSOR_LEVELS[level].split()} - set(features.split(","))
     if lacking:
         raise SystemExit(f"this processor cannot run code for {level}: {', '.join(lacking)}")
     with TemporaryDirectory() as work:
@@ -91,10 +91,12 @@ Requires-Dist: llvmlite=={llvmlite.__version__}
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser("python -m multicell.kernels", description=__doc__)
+    parser = argparse.ArgumentParser("python -m multicell.compiling.kernels", description=__doc__)
     parser.add_argument("folder", type=Path, help="where the wheel is written")
     parser.add_argument("scenes", nargs="*", default=["spheroid"], help="names or files of scenes")
-    parser.add_argument("--level", choices=LEVELS, default="x86-64-v3", help="of the processors")
+    parser.add_argument(
+        "--level", choices=PROCESSOR_LEVELS, default="x86-64-v3", help="of the processors"
+    )
     parser.add_argument("--set", action="append", default=[], help="KEY=VALUE, for all scenes")
     given = parser.parse_args()
     print(build_pack(given.folder, given.scenes, given.level, given.set))
