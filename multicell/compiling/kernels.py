@@ -1,8 +1,8 @@
 """Pack of compiled kernels, which spares a new installation the compilation of its first runs.
 
-``python -m multicell.compiling.kernels FOLDER SCENE...`` runs scenes on an empty cache, with numba compiling
-for a level of processors, and writes what was compiled into a wheel. Installed beside multicell it
-serves all processors of that level (:mod:`multicell.compiling.pack`).
+``python -m multicell.compiling.kernels FOLDER SCENE...`` runs scenes on an empty cache, with numba
+compiling for a level of processors, and writes what was compiled into a wheel. Installed beside
+multicell it serves all processors of that level (:mod:`multicell.compiling.pack`).
 """
 
 from __future__ import annotations
@@ -94,9 +94,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser("python -m multicell.compiling.kernels", description=__doc__)
     parser.add_argument("folder", type=Path, help="where the wheel is written")
     parser.add_argument("scenes", nargs="*", default=["spheroid"], help="names or files of scenes")
-    parser.add_argument(
-        "--level", choices=PROCESSOR_LEVELS, default="x86-64-v3", help="of the processors"
-    )
+    parser.add_argument("--level", choices=PROCESSOR_LEVELS, default="x86-64-v3")
     parser.add_argument("--set", action="append", default=[], help="KEY=VALUE, for all scenes")
     given = parser.parse_args()
     print(build_pack(given.folder, given.scenes, given.level, given.set))

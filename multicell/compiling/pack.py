@@ -1,8 +1,8 @@
 """Packs of compiled kernels: found where packages are installed, checked, and read where they fit.
 
-``python -m multicell.compiling.kernels`` makes a pack for processors of one level. It is used for kernels
-that numba's cache on disk lacks, if what decides the code is the same here as where it was made.
-Anything else counts as if there were no pack; ``multicell doctor`` reports why.
+``python -m multicell.compiling.kernels`` makes a pack for processors of one level. It is used for
+kernels that numba's cache on disk lacks, if what decides the code is the same here as where it was
+made. Anything else counts as if there were no pack; ``multicell doctor`` reports why.
 """
 
 from __future__ import annotations
@@ -68,9 +68,8 @@ class Pack:
             about = json.load(file)
         self.level, self.processor = about["level"], tuple(about["for"])
         self._files: dict[str, str] = dict(about["files"])
-        lacking = set(PROCESSOR_LEVELS[self.level].split()) - set(
-            processor[2].replace("+", "").split(",")
-        )
+        given = processor[2].replace("+", "").split(",")
+        lacking = set(PROCESSOR_LEVELS[self.level].split()).difference(given)
         for name, own in setting().items():
             if about["setting"][name] != own:
                 return f"it is for {name} {about['setting'][name]}, here is {own}"

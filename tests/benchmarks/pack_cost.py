@@ -1,11 +1,11 @@
 """What does a pack of compiled kernels gain, and does it change speed or bits?
 
-Problem   the first command of a new installation, `multicell run spheroid` to 1,000 cells on an empty
-          cache; an hour of 10,000 growing cells on one thread with warm kernels
-Measured  wall time and CPU time of all processes, with and without the pack in turns; size of the wheel;
-          whether all cells of all frames have the same bits
-Separated the pack is built before, from a whole `spheroid`, and lies in an environment of its own; for the
-          hour each kind of kernels runs once before it is measured
+Problem   the first command of a new installation, `multicell run spheroid` to 1,000 cells on an
+          empty cache; an hour of 10,000 growing cells on one thread with warm kernels
+Measured  wall time and CPU time of all processes, with and without the pack in turns; size of the
+          wheel; whether the cells of all frames have the same bits
+Separated the pack is built before, from a whole `spheroid`, and lies in an environment of its own;
+          for the hour each kind of kernels runs once before it is measured
 Cost      two minutes, and a minute a round
 Command   python tests/benchmarks/pack_cost.py [--rounds 3] [--level x86-64-v3]
 """
