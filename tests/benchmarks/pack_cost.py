@@ -1,4 +1,4 @@
-"""What does a pack of compiled kernels gain, and does it change speed or bits?
+"""Gain of a pack of compiled kernels for a first command, and its effect on speed and bits.
 
 Problem   the first command of a new installation, `multicell run spheroid` to 1,000 cells on an
           empty cache; an hour of 10,000 growing cells on one thread with warm kernels
@@ -73,7 +73,7 @@ def same_bits(one: Path, other: Path) -> bool:
 
 
 def measured(command: list[str], cache: Path, bare: bool) -> dict[str, float]:
-    """Return what a command prints of itself as JSON, with or without the pack."""
+    """Return the JSON that a command prints of itself, with or without the pack."""
     variables = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
     variables |= {"MULTICELL_NO_PACK": "1"} if bare else {}
     done = subprocess.run(command, env=variables, check=True, capture_output=True, text=True)
