@@ -13,8 +13,11 @@ from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
+from click.testing import CliRunner
 
 import multicell as mc
+from multicell.cli.main import main
+from multicell.compiling import numba_068
 from multicell.compiling import pack as packs
 from multicell.compiling.kernels import build_pack
 from multicell.compiling.numba_068 import processor
@@ -214,3 +217,18 @@ def test_a_level_that_this_processor_lacks_is_not_built(tmp_path, monkeypatch):
     monkeypatch.setitem(packs.PROCESSOR_LEVELS, "x86-64-v4", "avx9")
     with pytest.raises(SystemExit, match=r"cannot run code for x86-64-v4: \+avx9"):
         build_pack(tmp_path, ["settle"], "x86-64-v4")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"), [({}, ""), ({"setting": {**setting(), "numba": "0.1"}}, "for numba 0.1")]
+)
+def test_doctor_reports_a_pack_and_why_it_is_not_used(made, monkeypatch, change, said):
+    pack = made("generic", None, **change)
+    monkeypatch.setattr(numba_068, "installed_pack", lambda processor: pack)
+    found = json.loads(CliRunner().invoke(main, ["doctor", "--json"]).stdout)["pack"]
+    assert found.startswith(pack.folder)
+    assert ("not used" in found) is bool(said)
+    assert said in found
+    assert "compiled pack" in CliRunner().invoke(main, ["doctor"]).stdout
+    monkeypatch.setattr(numba_068, "installed_pack", lambda processor: None)
+    assert "compiled pack" not in CliRunner().invoke(main, ["doctor"]).stdout
