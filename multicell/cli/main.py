@@ -231,9 +231,13 @@ def doctor(as_json: bool) -> None:
 
     Include it when you report a problem.
     """
+    from multicell.compiling.numba_068 import installed_pack, processor
     from multicell.host.extras import checkup
 
-    found = checkup()
+    found, pack = checkup(), installed_pack(processor())
+    if pack is not None:
+        unused = f", not used: {pack.refusal}" if pack.refusal else ""
+        found["pack"] = f"{pack.folder}{unused}"
     if as_json:
         print_json(found)
         return
@@ -244,6 +248,8 @@ def doctor(as_json: bool) -> None:
     hint = " (cannot be written to: set NUMBA_CACHE_DIR to a folder of your own)"
     kept = "" if found["cache_writable"] else hint
     rows["compiled code"] = f"{found['cache']}{kept}"
+    if pack is not None:
+        rows["compiled pack"] = found["pack"]
     for extra, names in found["missing"].items():
         rows[f"extra '{extra}'"] = f'lacks {", ".join(names)}: pip install ".[{extra}]"'
     shared.console().print(key_table(rows.items()))

@@ -17,6 +17,9 @@ files of other users         safety     to read compiled code is to run it: inde
                                         are not the user's or root's own count as absent.
 boxes of arrays and tuples   safety     numba's run Python, and do not ask whether it raised: a
                                         signal's handler there ends in a segmentation fault.
+packs of compiled kernels    speed      kernels that the folder of compiled code lacks are looked
+                                        for in :mod:`multicell.compiling.pack`: four fifths of the
+                                        first command.
 folder of compiled code      safety     one that others can write to is replaced by a private one
                                         (:mod:`multicell.host.closed`).
 signals while numba works    safety     an exception within its lock leaves parts of a function
@@ -62,15 +65,26 @@ from numba.core.compiler import Compiler
 from numba.core.dispatcher import Dispatcher
 from numba.core.event import install_recorder
 from numba.core.pythonapi import _boxers
+from numba.core.registry import cpu_target
 from numba.core.runtime.nrt import rtsys
 from numba.core.typing.templates import _OverloadFunctionTemplate
 from numba.cpython import hashing  # noqa: F401 - names symbols that code from disk may ask for
 from numba.np import linalg
 from numba.np.numpy_support import as_dtype
 
+from multicell.compiling.pack import Pack, Processor, installed_pack
 from multicell.host.closed import choose_cache, is_own
 
-__all__ = ["PieceCompiler", "cgutils", "change_numba", "event", "install_recorder", "is_on_disk"]
+__all__ = [
+    "PieceCompiler",
+    "cgutils",
+    "change_numba",
+    "event",
+    "install_recorder",
+    "installed_pack",
+    "is_on_disk",
+    "processor",
+]
 
 _ensure_blas = linalg.ensure_blas
 
@@ -184,7 +198,50 @@ def _load_overload(cache: Any, types_of: Any, target: Any) -> Any:
         return _plain_load(cache, types_of, target)
     rtsys.initialize(target)
     with cache._guard_against_spurious_io_errors():
-        return cache._load_overload(types_of, target)
+        found = cache._load_overload(types_of, target)
+        return _from_pack(cache, types_of, target) if found is None else found
+
+
+@final
+class _PackFile(caching.IndexDataCacheFile):
+    """Numba's index of a kernel, and its code, in a pack: what is not as packed is not read."""
+
+    def __init__(self, cache: Any, pack: Pack) -> None:
+        own, folder = cache._cache_file, pack.folder_of(cache._impl.locator._py_file)
+        super().__init__(folder, cache._impl.filename_base, own._source_stamp)  # type: ignore[no-untyped-call]
+        self.pack = pack
+
+    def _load_index(self) -> Any:
+        return _index_of(self) if self.pack.is_sound(self._index_path) else {}
+
+    def _load_data(self, name: str) -> Any:
+        return _data_of(self, name) if self.pack.is_sound(self._data_path(name)) else None  # type: ignore[no-untyped-call]
+
+
+def _pack_file(cache: Any) -> _PackFile | None:
+    pack = installed_pack(processor())
+    return None if pack is None or pack.refusal else _PackFile(cache, pack)
+
+
+def _from_pack(cache: Any, types_of: Any, target: Any) -> Any:
+    """Return a compiled function from an installed pack; None to compile it."""
+    file = _pack_file(cache)
+    if file is None:
+        return None
+    signature, _, code = cache._index_key(types_of, target.codegen())
+    try:
+        data = file.load((signature, file.pack.processor, code))  # type: ignore[no-untyped-call]
+        found = None if data is None else cache._impl.rebuild(target, data)
+    except Exception as error:  # whatever reading raises: from here on all is compiled
+        file.pack.refusal = f"{file._index_name} cannot be read ({error!r})"
+        return None
+    file.pack.loaded += found is not None
+    return found
+
+
+def processor() -> Processor:
+    """Return target, name and features of the processor that numba compiles for."""
+    return cpu_target.target_context.codegen().magic_tuple()  # type: ignore[no-any-return]
 
 
 _Dispatcher: Any = Dispatcher
@@ -202,8 +259,11 @@ def _is_ours(function: Any) -> bool:
 
 
 def is_on_disk(dispatcher: Any) -> bool:
-    """Return whether numba's cache has code of a kernel, for any arguments, of today's files."""
-    return bool(dispatcher._cache._cache_file._load_index())
+    """Return whether cache or pack have code of a kernel, for any arguments, of today's files."""
+    if dispatcher._cache._cache_file._load_index():
+        return True
+    file = _pack_file(dispatcher._cache)
+    return file is not None and file.pack.is_sound(file._index_path)
 
 
 def _constant(c: Any, value: Any) -> Any:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import glob
 import os
+import site
 import stat
 import sys
 import warnings
@@ -17,6 +18,8 @@ from functools import cache
 from typing import Any, Final
 
 PACKAGE: Final = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+PACK: Final = "multicell_kernels"
+"""Name of the folder with compiled kernels that ``python -m multicell.compiling.kernels`` packs."""
 _OWNERS: Final = hasattr(os, "geteuid")
 _OTHERS: Final = stat.S_IWGRP | stat.S_IWOTH
 
@@ -128,7 +131,22 @@ def may_be_on_disk(module: str, kernel: str) -> bool:
     places = [os.path.join(glob.escape(root), own, file) for root in roots]
     if not named:
         places.append(os.path.join(glob.escape(folder), "__pycache__", file))
+    if pack := pack_folder():
+        places.append(os.path.join(glob.escape(pack), os.path.basename(folder), file))
     return any(next(glob.iglob(place), None) for place in places)
+
+
+def pack_folder() -> str:
+    """Return the folder of an installed pack of compiled kernels; nothing where there is none.
+
+    It is looked for where packages are installed, never in the working folder: to read compiled
+    code is to run it. With ``MULTICELL_NO_PACK`` in the environment there is none.
+    """
+    places = [] if os.environ.get("MULTICELL_NO_PACK") else site.getsitepackages()
+    if places and site.ENABLE_USER_SITE:
+        places.append(site.getusersitepackages())
+    found = (os.path.join(place, PACK) for place in places)
+    return next((folder for folder in found if os.path.isfile(f"{folder}/about.json")), "")
 
 
 def _beside_files() -> Iterator[str]:

@@ -121,9 +121,17 @@ def run_summary(
         **{name: value for name, value in optional.items() if value},
         "wall": {**wall, "total": sum(wall.values())},
         "threads": threads,
-        "versions": versions(),
+        "versions": versions() | _pack_version(),
     }
     return {**summary, "units": units_of(summary)}
+
+
+def _pack_version() -> dict[str, str]:
+    """Return for what processors kernels of this process were compiled, if they are of a pack."""
+    from multicell.compiling.numba_068 import installed_pack, processor  # a run has loaded numba
+
+    pack = installed_pack(processor())
+    return {"multicell-kernels": pack.level} if pack is not None and pack.loaded else {}
 
 
 def _checks(progress: Progress) -> dict[str, float]:
