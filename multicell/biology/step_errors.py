@@ -1,0 +1,81 @@
+"""What the length of a coupling step has changed of the volume, estimated from the step itself."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple, final
+
+import numpy as np
+
+from multicell.biology.growth import growing
+from multicell.cells import rows_before
+
+if TYPE_CHECKING:
+    from multicell.biology.plan import BiologyPlan
+    from multicell.cells import Cells, FloatArray, IntArray
+
+_SHARE = np.array([1.0, 0.5, 0.0, 0.0])
+"""What a cell of each state counts of the growth that its uptake allows: resting ones a half."""
+
+
+@final
+class StepErrors(NamedTuple):
+    """Parts of the volume of all cells that depend on the length of a step.
+
+    - ``lasting``: of first order, which nothing makes good
+    - ``lag``: what the next steps are to make good if all are like this one
+    - ``growth``: of all cells in the step
+    - ``pace``, 1/s: of living cells that nothing limits
+    """
+
+    lasting: float
+    lag: float
+    growth: float
+    pace: float
+
+
+def step_errors(
+    plan: BiologyPlan,
+    began: Cells,
+    cells: Cells,
+    before: FloatArray,
+    now: FloatArray | None,
+    dt: float,
+    events: float,
+    row: IntArray | None = None,
+) -> StepErrors:
+    """Return estimates of the errors of a step.
+
+    The growth that the lags add up to is made good. What cells' lags add beyond that, with both
+    signs, is of rates that go up and down between the ends of the step, as pressures do after
+    divisions: as much may have been missed. Cells that come to rest, wake or die change what others
+    are fed half a step early or late.
+
+    - ``began``, ``cells``: of its beginning and end
+    - ``before``, (n,) s: lags of the latter without this step
+    - ``now``, (n,): part of unlimited growth at the end; None: as at the beginning
+    - ``dt``: its length, s
+    - ``events``: deaths and changes of type that it has made too many or too few
+    - ``row``, (n,): rows of the cells or their mothers at the beginning, where they are known
+    """
+    volume, total = cells.volume, float(cells.volume.sum())
+    if not total > 0.0:
+        return StepErrors(0.0, 0.0, 0.0, 0.0)
+    lasting = events / len(cells)
+    if plan.law is None:
+        return StepErrors(lasting, 0.0, 0.0, 0.0)
+    scale = 1.0 if plan.target_scale is None else plan.target_scale[cells.phase]
+    rate = scale * plan.law.rate(volume / scale, plan.birth_volumes(cells.kind)) / cells.cycle_time
+    rate /= total
+    added, net = 0.0, 0.0
+    if cells.lag is not before:
+        change = rate * np.where(cells.dead, 0.0, cells.lag - before)
+        added, net = float(np.abs(change).sum()), abs(float(change.sum()))
+    row = rows_before(began, cells) if row is None else row
+    came, went = _SHARE[cells.state], _SHARE[began.state[row]]
+    if not np.array_equal(came, went):
+        lasting += 0.5 * dt * abs(float((rate * (came - went)).sum()))
+    grew = rate if now is None else rate * now
+    growth = dt * float(grew[growing(plan, cells)].sum())
+    return StepErrors(
+        lasting + added - net, 2.0 * net, max(growth, 0.0), float(rate[~cells.dead].sum())
+    )
