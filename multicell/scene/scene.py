@@ -74,7 +74,6 @@ from multicell.scene.responses import (
 from multicell.scene.start_table import Initial, place_table
 from multicell.schema import (
     build_part,
-    chosen,
     count,
     leaves,
     near_miss,
@@ -147,8 +146,8 @@ class Scene:
         "s",
         default=600.0,
         above=0,
-        doc="between exchanges of parts; 'auto': steps up to 40 min for a tolerance of 0.1 %",
-        hint="Or 'auto', and the run chooses.",
+        doc="between exchanges of parts; 'auto': up to 40 min, for an error of 0.1 % of the volume",
+        words=("auto",),
     )
     coupling_tolerance: float | None = number(
         default=None,
@@ -212,7 +211,10 @@ class Scene:
         object.__setattr__(self, "_written", {name: getattr(self, name) for name in specs(self)})
         word = self.coupling_step
         if isinstance(word, str) and word.strip().isalpha():
-            chosen(word.strip().lower(), ("auto",), "coupling_step")
+            if word.strip().lower() != "auto":
+                hint = near_miss(word, ("auto",), listed=False)
+                problem = f"is {shown(word)}, must be a time or 'auto'"
+                raise SceneError("coupling_step", problem, hint)
             object.__setattr__(self, "coupling_step", LONGEST)
             if self.coupling_tolerance is None:
                 object.__setattr__(self, "coupling_tolerance", TOLERANCE)

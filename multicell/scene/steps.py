@@ -7,7 +7,7 @@ from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, Final, NamedTuple, final
 
 from multicell.behaviours.catalogue import needs_contacts
 from multicell.scene.responses import effects
@@ -22,10 +22,29 @@ _ROUNDING = 1e-12
 _SHORTEST = 1e-9
 """Part of a coupling step that no step is shorter than: what is, is rounding of times."""
 
-SHORTEST: Final = 5  # halvings of the longest step that a run chooses
-FIRST: Final = 4  # and of those with which it begins, and begins anew after a change
 _UNSEEN: Final = 600.0
 """Longest step in s that a run chooses where a scene has what no estimate sees."""
+
+
+@final
+class Lengths(NamedTuple):
+    """What a run with chosen lengths of steps holds of them; all are numbers.
+
+    - ``length``, ``following``, s: chosen for the next step and for the one after
+    - ``error``: volume that depends on lengths so far, relative
+    - ``rate``, 1/s²: of that in a step over the square of its length, averaged
+    - ``last``, ``shortest``, ``longest``, s: of steps so far
+    - ``exceeded``: number of steps that were more than twice as long as they should have been
+    """
+
+    length: float
+    following: float
+    error: float = 0.0
+    rate: float = 0.0
+    last: float = 0.0
+    shortest: float = 0.0
+    longest: float = 0.0
+    exceeded: float = 0.0
 
 
 @final
@@ -53,8 +72,8 @@ class StepPlan:
     def next_end(self, time: float, length: float | None = None) -> float:
         """Return where the step that begins at a time ends, s, also beyond the run's end.
 
-        Multiples of its ``length`` (by default ``coupling_step``) and changes that are the same but for rounding are one end,
-        the latest of them: all of them have happened by then.
+        Multiples of its ``length`` (by default ``coupling_step``) and changes that are the same but
+        for rounding are one end, the latest of them: all of them have happened by then.
         """
         length, now = length or self.coupling_step, time + self._near(time)
         regular = length * (math.floor(now / length) + 1)
@@ -73,9 +92,7 @@ class StepPlan:
         return end if end < self.duration - self._near(self.duration) else self.duration
 
     def steps_after(self, time: float, length: float | None = None) -> int:
-        """Return how many steps there are from a time in s to the run's end, of the given length.
-
-        """
+        """Return how many steps of a length there are from a time in s to the run's end."""
         length = length or self.coupling_step
         last = self.duration - self._near(self.duration)
         if time >= last:
@@ -156,6 +173,18 @@ def longest_step(scene: Scene) -> float:
     if unseen or any(map(needs_contacts, signals)):
         limits.append(_UNSEEN)
     return math.ldexp(longest, -max(0, math.ceil(math.log2(longest / min(limits)) - 1e-9)))
+
+
+_PRESSED: Final = 6.0
+"""Tolerance over the product of step and pace of growth, where pressure limits it (measured)."""
+
+
+def usual_step(scene: Scene) -> float:
+    """Return how long coupling steps are, s: those that a run chooses as it is expected to."""
+    longest, growth = longest_step(scene), scene.growth
+    if scene.coupling_tolerance is None or growth is None or growth.critical_pressure is None:
+        return longest
+    return min(longest, _PRESSED * scene.coupling_tolerance * growth.mean_cycle)
 
 
 def _scheduled(scene: Scene) -> Iterator[float]:

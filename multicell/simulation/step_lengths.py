@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final, NamedTuple, final
+from typing import TYPE_CHECKING, Final
 
-from multicell.scene.steps import FIRST, SHORTEST
+from multicell.scene.steps import Lengths
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -14,42 +14,21 @@ if TYPE_CHECKING:
     from multicell.scene.steps import StepPlan
     from multicell.simulation.timeline import Timeline
 
-_SPEND: Final = 4.0
-"""How fast the tolerance is spent, over the pace of growth: most of it where all cells grow."""
+_SHORTEST: Final = 5  # halvings of the longest step, of the shortest one
+_FIRST: Final = 4  # and of that with which a run begins, and begins anew after a change
 _PACE: Final = 1e-5  # 1/s, of scenes in which cells hardly grow
-_LEAST: Final = 0.25  # of the tolerance is left to spend, or steps would become ever shorter
+_LEAST: Final = 0.25  # of the pace counts where cells do not grow, or steps become ever shorter
 _MEMORY: Final = 4.0  # longest steps over which errors are averaged: few cells decide in one
 _SAFETY: Final = 0.5  # part of the tolerance that is for growth yet to be made good
-_SLACK: Final = 0.7  # of a step is short enough to go on with it
-
-
-@final
-class Lengths(NamedTuple):
-    """What a run with chosen lengths of steps holds of them; all are numbers.
-
-    - ``length``, ``following``, s: chosen for the next step and for the one after
-    - ``error``: volume that depends on lengths so far, relative
-    - ``rate``, 1/s²: of that in a step over the square of its length, averaged
-    - ``last``, ``shortest``, ``longest``, s: of steps so far
-    - ``exceeded``: number of steps that were more than twice as long as they should have been
-    """
-
-    length: float
-    following: float
-    error: float = 0.0
-    rate: float = 0.0
-    last: float = 0.0
-    shortest: float = math.inf
-    longest: float = 0.0
-    exceeded: float = 0.0
+_SLACK: Final = 1.15  # by which a step may be too long, or another one must be too short
 
 
 def first_lengths(plan: StepPlan) -> Sequence[float]:
     """Return what a run begins with: short steps; nothing where all are alike."""
     if plan.tolerance is None:
         return ()
-    first = math.ldexp(plan.coupling_step, -FIRST)
-    return Lengths(first, first)
+    first = math.ldexp(plan.coupling_step, -_FIRST)
+    return Lengths(first, first, shortest=plan.coupling_step)
 
 
 def lengths_after(
@@ -58,8 +37,9 @@ def lengths_after(
     """Return the lengths of the next two steps after one; nothing where all are alike.
 
     Cells decide at the end of the step that is nearest to their time, so that the length of the
-    next one is known before this one ends. Lengths are halves of each other, and steps end at their
-    multiples: they double at most.
+    next one is known before this one ends. Steps end at multiples of their length. What lasts of
+    the errors may add up to the tolerance: in tissue that grows it stays there if each step adds
+    that part of what has grown in it. At first it may be added at the pace of unlimited growth.
 
     - ``known``: before the step, which began at ``begin``, s, and ended at that of the ``timeline``
     - ``found``: its errors
@@ -71,8 +51,11 @@ def lengths_after(
     error = (was.error + found.lasting) / (1.0 + found.growth)
     share = dt / (dt + min(begin, _MEMORY * plan.coupling_step))
     rate = was.rate + share * (found.lasting / dt**2 - was.rate)
-    left = max(plan.tolerance - error, _LEAST * plan.tolerance)
-    ideal = left * _SPEND * max(found.pace, _PACE) / rate if rate > 0.0 else math.inf
+    pace = max(found.pace, _PACE)
+    grows = max(found.growth / dt, _LEAST * pace)
+    unspent = max(1.0 - error / plan.tolerance, 0.0)
+    allowed = plan.tolerance * (grows + unspent * max(pace - grows, 0.0))
+    ideal = allowed / rate if rate > 0.0 else 2.0 * plan.coupling_step
     if found.lag > 0.0:
         ideal = min(ideal, dt * math.sqrt(_SAFETY * plan.tolerance / found.lag))
     return Lengths(
@@ -91,10 +74,15 @@ def _following(plan: StepPlan, length: float, ideal: float, begin: float) -> flo
     """Return the length of the step that begins after one of another length, s."""
     longest = plan.coupling_step
     if plan.changes_at(begin):
-        return min(length, math.ldexp(longest, -FIRST))
-    if ideal >= 2.0 * length:
-        return min(2.0 * length, longest)
-    if ideal < _SLACK * length:
-        halvings = math.ceil(math.log2(length / max(ideal, math.ldexp(longest, -SHORTEST))))
-        return math.ldexp(length, -halvings)
-    return length
+        return min(length, math.ldexp(longest, -_FIRST))
+    up = _rung(longest, min(ideal / _SLACK, 2.0 * length))
+    if up > length:
+        return up
+    return _rung(longest, ideal) if ideal < length / _SLACK else length
+
+
+def _rung(longest: float, ideal: float) -> float:
+    """Return the largest of the lengths that a run chooses from up to an ideal one, s."""
+    power = min(max(math.floor(math.log2(ideal / longest) + 1e-9), -_SHORTEST), 0)
+    low = math.ldexp(longest, power)
+    return 1.5 * low if power < 0 and ideal >= 1.5 * low * (1.0 - 1e-9) else low

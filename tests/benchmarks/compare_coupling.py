@@ -166,10 +166,7 @@ def chosen_scenes() -> dict[str, tuple[mc.Scene, bool]]:
     spheroid = mc.load_scene("spheroid").with_changes(_MANY)
     limited = {"initial.count": 1500, "nutrients.oxygen.uptake": "120 amol/s"}
     emt6 = mc.load_scene("emt6").with_changes({**_MANY, "initial.count": 1000})
-    certain = {
-        name: (mc.Scene.from_dict(entries), False)
-        for name, entries in CERTAIN.items()
-    }
+    certain = {name: (mc.Scene.from_dict(entries), False) for name, entries in CERTAIN.items()}
     return {
         **certain,
         "growth under pressure": (spheroid.with_changes({**_RICH, "initial.count": 1000}), True),
@@ -207,7 +204,9 @@ def chosen(seeds: range) -> None:
                 found[way].append(_stepped(seeded.with_changes(changes)))
         usual = sum(spent for _, spent in found["10 min"])
         for way, runs in found.items():
-            off = np.array([numbers - exact for (numbers, _), exact in zip(runs, true, strict=True)])
+            off = np.array(
+                [numbers - exact for (numbers, _), exact in zip(runs, true, strict=True)]
+            )
             part = 100.0 * off[:, 0] / np.array(true)[:, 0]
             spread = f" ± {part.std(ddof=1) / len(part) ** 0.5:.3f}" if len(part) > 1 else ""
             _, rest, dead, _ = off.mean(axis=0)
