@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.integrators.registry import METHODS
 from multicell.results.folder import package_version
-from multicell.scene.steps import longest_step
+from multicell.scene.steps import longest_coupling_step
 from multicell.schema import leaves
 from multicell.units import shown, time_text
 
@@ -119,9 +119,10 @@ def _numerics(result: Result) -> str:
     cited = f" [{', '.join(keys)}]" if keys else ""
     steps = f" in {summary['steps']:,} coupling steps" if "steps" in summary else ""
     up_to = "up to " if scene.coupling_tolerance else ""
+    longest = time_text(longest_coupling_step(scene))
     text = (
         f"{time_text(float(summary.get('time', scene.duration)))} were simulated{steps} of "
-        f"{up_to}{time_text(longest_step(scene))}, positions by the method '{method}'{cited}"
+        f"{up_to}{longest}, positions by the method '{method}'{cited}"
     )
     tolerance = getattr(scene.integrator, "tolerance", None)
     text += f" with a tolerance of {tolerance:g} µm." if tolerance else "."

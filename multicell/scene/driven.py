@@ -18,7 +18,7 @@ from multicell.errors import SceneError
 from multicell.scene.checks import check_kinds
 from multicell.scene.parts import span
 from multicell.scene.sizes import division_radii
-from multicell.scene.steps import longest_step
+from multicell.scene.steps import longest_coupling_step
 from multicell.schema import parameters, quantity, text, vector, whole_numbers
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def check_driven(scene: Scene) -> None:
             ids = None if table is None else table.given.columns.get("id")
             known = range(scene.initial.count) if ids is None else np.unique(ids)
             _check_identities(f"motions.{name}", motion, known)
-        step = longest_step(scene)
+        step = longest_coupling_step(scene)
         way = step * math.hypot(*motion.velocity)
         most = division_radii(scene)[0]
         if way > most:

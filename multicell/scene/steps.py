@@ -138,7 +138,7 @@ def step_plan(scene: Scene) -> StepPlan:
     changes = {time for time in _scheduled(scene) if 0.0 < time < math.inf}
     tolerance = scene.coupling_tolerance
     return StepPlan(
-        longest_step(scene),
+        longest_coupling_step(scene),
         scene.duration,
         tuple(times),
         tuple(sorted(changes)),
@@ -147,7 +147,7 @@ def step_plan(scene: Scene) -> StepPlan:
     )
 
 
-def longest_step(scene: Scene) -> float:
+def longest_coupling_step(scene: Scene) -> float:
     """Return the longest coupling step of a scene, s.
 
     Where the run chooses their lengths, it is ``coupling_step`` halved until it is at most a
@@ -179,9 +179,9 @@ _PRESSED: Final = 6.0
 """Tolerance over the product of step and pace of growth, where pressure limits it (measured)."""
 
 
-def usual_step(scene: Scene) -> float:
+def usual_coupling_step(scene: Scene) -> float:
     """Return how long coupling steps are, s: those that a run chooses as it is expected to."""
-    longest, growth = longest_step(scene), scene.growth
+    longest, growth = longest_coupling_step(scene), scene.growth
     if scene.coupling_tolerance is None or growth is None or growth.critical_pressure is None:
         return longest
     return min(longest, _PRESSED * scene.coupling_tolerance * growth.mean_cycle)

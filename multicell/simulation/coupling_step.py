@@ -106,8 +106,8 @@ def next_state(run: Machinery, state: RunState) -> RunState:
         cells = cells.changed(lag=lag)
     if lengths:
         wrong = abs(lived.exposures.get("error", 0.0) - state.exposures.get("error", 0.0))
-        found = step_errors(plan, state.cells, cells, before, growth, end - begin, wrong, row)
-        lengths = lengths_after(lengths, timeline, begin, found)
+        errors = step_errors(plan, state.cells, cells, before, growth, end - begin, wrong, row)
+        lengths = lengths_after(lengths, timeline, begin, errors)
         timeline = timeline.choosing(lengths)
     lap("biology")
     return RunState(
