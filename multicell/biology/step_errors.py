@@ -1,4 +1,4 @@
-"""What the length of a coupling step has changed of the volume, estimated from the step itself."""
+"""Estimates of the error that the length of a coupling step leaves in the volume of cells."""
 
 from __future__ import annotations
 

@@ -96,8 +96,9 @@ if TYPE_CHECKING:
 _WRITTEN = "# A scene of multicell"
 """What the files begin with that :meth:`Scene.to_toml` makes."""
 LONGEST: Final = 2400.0
+"""Longest step in s of ``coupling_step = "auto"``; longer ones cost hardly less."""
 TOLERANCE: Final = 1e-3
-"""What ``coupling_step = "auto"`` stands for: the longest step in s, and the tolerance."""
+"""Its tolerance, about the error of 10 min in tissue that presses itself."""
 _MAX_FILE_BYTES = 10_000_000
 """Bytes of a scene file; those with thousands of media changes have less than one million."""
 

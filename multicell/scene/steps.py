@@ -28,7 +28,7 @@ _UNSEEN: Final = 600.0
 
 @final
 class Lengths(NamedTuple):
-    """What a run with chosen lengths of steps holds of them; all are numbers.
+    """Numbers that a run with chosen lengths of steps holds of them.
 
     - ``length``, ``following``, s: chosen for the next step and for the one after
     - ``error``: volume that depends on lengths so far, relative

@@ -24,7 +24,7 @@ _SLACK: Final = 1.15  # by which a step may be too long, or another one must be 
 
 
 def first_lengths(plan: StepPlan) -> Sequence[float]:
-    """Return what a run begins with: short steps; nothing where all are alike."""
+    """Return the lengths that a run begins with, short ones; nothing where all are alike."""
     if plan.tolerance is None:
         return ()
     first = math.ldexp(plan.coupling_step, -_FIRST)
