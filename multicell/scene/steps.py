@@ -22,6 +22,8 @@ _ROUNDING = 1e-12
 _SHORTEST = 1e-9
 """Part of a coupling step that no step is shorter than: what is, is rounding of times."""
 
+SHORTEST: Final = 5
+"""Halvings of the longest step that a run chooses, of the shortest one."""
 _UNSEEN: Final = 600.0
 """Longest step in s that a run chooses where a scene has what no estimate sees."""
 
@@ -59,7 +61,7 @@ class StepPlan:
     - ``changes``, times, s, rising: at which anything scheduled changes
     - ``tolerance``: part of the volume for which the run chooses the lengths of its steps, up to
       ``coupling_step``; None: all are alike
-    - ``every``, s: chosen steps also end at its multiples
+    - ``every``, s: chosen steps also end at its multiples; infinite: frames are closer than steps
     """
 
     coupling_step: float
@@ -136,15 +138,11 @@ def step_plan(scene: Scene) -> StepPlan:
     times = [time for media in jumping for time, _ in media]
     times += [time for part in dying for time in part.schedule]
     changes = {time for time in _scheduled(scene) if 0.0 < time < math.inf}
-    tolerance = scene.coupling_tolerance
-    return StepPlan(
-        longest_coupling_step(scene),
-        scene.duration,
-        tuple(times),
-        tuple(sorted(changes)),
-        tolerance,
-        math.inf if tolerance is None else scene.output.every,
-    )
+    longest, tolerance = longest_coupling_step(scene), scene.coupling_tolerance
+    every = scene.output.every
+    if tolerance is None or every < math.ldexp(longest, -SHORTEST):
+        every = math.inf
+    return StepPlan(longest, scene.duration, tuple(times), tuple(sorted(changes)), tolerance, every)
 
 
 def longest_coupling_step(scene: Scene) -> float:

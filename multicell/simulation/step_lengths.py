@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from multicell.scene.steps import Lengths
+from multicell.scene.steps import SHORTEST, Lengths
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from multicell.scene.steps import StepPlan
     from multicell.simulation.timeline import Timeline
 
-_SHORTEST: Final = 5  # halvings of the longest step, of the shortest one
-_FIRST: Final = 4  # and of that with which a run begins, and begins anew after a change
+_FIRST: Final = 4  # halvings of the longest step, of that with which a run begins (anew)
 _PACE: Final = 1e-5  # 1/s, of scenes in which cells hardly grow
 _LEAST: Final = 0.25  # of the pace counts where cells do not grow, or steps become ever shorter
 _MEMORY: Final = 4.0  # longest steps over which errors are averaged: few cells decide in one
@@ -84,6 +83,6 @@ def _following(plan: StepPlan, length: float, ideal: float, begin: float) -> flo
 
 def _rung(longest: float, ideal: float) -> float:
     """Return the largest of the lengths that a run chooses from up to an ideal one, s."""
-    power = min(max(math.floor(math.log2(ideal / longest) + 1e-9), -_SHORTEST), 0)
+    power = min(max(math.floor(math.log2(ideal / longest) + 1e-9), -SHORTEST), 0)
     low = math.ldexp(longest, power)
     return 1.5 * low if power < 0 and ideal >= 1.5 * low * (1.0 - 1e-9) else low

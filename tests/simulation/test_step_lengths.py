@@ -125,7 +125,7 @@ def test_a_jump_of_the_error_shortens_the_next_step_but_one_at_once():
     steps, last = painted(errors)
     (after,) = np.flatnonzero(steps[:, 0] >= jump)[:1]
     assert steps[after, 1] == steps[after - 1, 1] == LONGEST
-    assert last.exceeded == 1.0
+    assert last.exceeded == 2.0  # the first step after it, and the one whose length was known
     assert steps[after + 2, 1] <= LONGEST / 16
     assert steps[-1, 1] >= LONGEST / 8
 
@@ -220,6 +220,13 @@ def test_steps_end_where_something_is_scheduled_and_at_frames():
     )
     np.testing.assert_allclose(result.history["coupling_step"][1:], np.diff(times), rtol=1e-12)
     assert max(np.diff(times)) == pytest.approx(LONGEST)
+
+
+def test_frames_closer_than_the_shortest_step_end_none():
+    scene = mc.Scene.from_dict({**CALM, "duration": "1 h", "output": {"every": "1 s"}})
+    simulation = run(scene)
+    assert simulation.step_index <= 7
+    assert len(mc.run(scene, threads=1).frames) == simulation.step_index + 1
 
 
 @pytest.mark.parametrize("tolerance", [3e-3, 1e-3, 3e-4])
