@@ -173,7 +173,7 @@ def longest_coupling_step(scene: Scene) -> float:
     return math.ldexp(longest, -max(0, math.ceil(math.log2(longest / min(limits)) - 1e-9)))
 
 
-_PRESSED: Final = 6.0
+_PRESSED: Final = 5.0
 """Tolerance over the product of step and pace of growth, where pressure limits it (measured)."""
 
 

@@ -18,8 +18,7 @@ _FIRST: Final = 4  # halvings of the longest step, of that with which a run begi
 _PACE: Final = 1e-5  # 1/s, of scenes in which cells hardly grow
 _LEAST: Final = 0.25  # of the pace counts where cells do not grow, or steps become ever shorter
 _MEMORY: Final = 4.0  # longest steps over which errors are averaged: few cells decide in one
-_LASTING: Final = 0.75  # part of the tolerance for errors that last: estimates miss a third
-_SAFETY: Final = 0.5  # and for growth yet to be made good
+_SAFETY: Final = 0.5  # part of the tolerance that is for growth yet to be made good
 _SLACK: Final = 1.15  # by which a step may be too long, or another one must be too short
 
 
@@ -38,8 +37,8 @@ def lengths_after(
 
     Cells decide at the end of the step that is nearest to their time, so that the length of the
     next one is known before this one ends. Steps end at multiples of their length. Errors that last
-    add up to three quarters of the tolerance: there they stay if each step adds that part of what
-    has grown in it. What is unspent may be added at the pace of free growth.
+    may add up to the tolerance, where they stay if each step adds that part of what has grown in
+    it. What is unspent may be added at the pace of free growth.
 
     - ``known``: before the step, which began at ``begin``, s, and ended at that of the ``timeline``
     - ``found``: its errors
@@ -53,8 +52,8 @@ def lengths_after(
     rate = was.rate + share * (found.lasting / dt**2 - was.rate)
     pace = max(found.pace, _PACE)
     grows = max(found.growth / dt, _LEAST * pace)
-    most = _LASTING * plan.tolerance
-    allowed = most * (grows + max(1.0 - error / most, 0.0) * pace)
+    unspent = max(1.0 - error / plan.tolerance, 0.0)
+    allowed = plan.tolerance * (grows + unspent * max(pace - grows, 0.0))
     ideal = allowed / rate if rate > 0.0 else 2.0 * plan.coupling_step
     if found.lag > 0.0:
         ideal = min(ideal, dt * math.sqrt(_SAFETY * plan.tolerance / found.lag))
