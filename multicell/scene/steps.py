@@ -22,7 +22,7 @@ _ROUNDING = 1e-12
 _SHORTEST = 1e-9
 """Part of a coupling step that no step is shorter than: what is, is rounding of times."""
 
-SHORTEST: Final = 5
+SHORTEST_HALVINGS: Final = 5
 """Halvings of the longest step that a run chooses, of the shortest one."""
 _UNSEEN: Final = 600.0
 """Longest step in s that a run chooses where a scene has what no estimate sees."""
@@ -140,7 +140,7 @@ def step_plan(scene: Scene) -> StepPlan:
     changes = {time for time in _scheduled(scene) if 0.0 < time < math.inf}
     longest, tolerance = longest_coupling_step(scene), scene.coupling_tolerance
     every = scene.output.every
-    if tolerance is None or every < math.ldexp(longest, -SHORTEST):
+    if tolerance is None or every < math.ldexp(longest, -SHORTEST_HALVINGS):
         every = math.inf
     return StepPlan(longest, scene.duration, tuple(times), tuple(sorted(changes)), tolerance, every)
 

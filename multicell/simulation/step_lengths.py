@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from multicell.scene.steps import SHORTEST, Lengths
+from multicell.scene.steps import SHORTEST_HALVINGS, Lengths
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -82,6 +82,6 @@ def _following(plan: StepPlan, length: float, ideal: float, begin: float) -> flo
 
 def _rung(longest: float, ideal: float) -> float:
     """Return the largest of the lengths that a run chooses from up to an ideal one, s."""
-    power = min(max(math.floor(math.log2(ideal / longest) + 1e-9), -SHORTEST), 0)
+    power = min(max(math.floor(math.log2(ideal / longest) + 1e-9), -SHORTEST_HALVINGS), 0)
     low = math.ldexp(longest, power)
     return 1.5 * low if power < 0 and ideal >= 1.5 * low * (1.0 - 1e-9) else low
