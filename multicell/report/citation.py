@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.integrators.registry import METHODS
 from multicell.results.folder import package_version
+from multicell.scene.steps import longest_coupling_step
 from multicell.schema import leaves
 from multicell.units import shown, time_text
 
@@ -117,9 +118,11 @@ def _numerics(result: Result) -> str:
     keys = dict.fromkeys(info.source for info in infos if info.source)
     cited = f" [{', '.join(keys)}]" if keys else ""
     steps = f" in {summary['steps']:,} coupling steps" if "steps" in summary else ""
+    up_to = "up to " if scene.coupling_tolerance else ""
+    longest = time_text(longest_coupling_step(scene))
     text = (
         f"{time_text(float(summary.get('time', scene.duration)))} were simulated{steps} of "
-        f"{time_text(scene.coupling_step)}, positions by the method '{method}'{cited}"
+        f"{up_to}{longest}, positions by the method '{method}'{cited}"
     )
     tolerance = getattr(scene.integrator, "tolerance", None)
     text += f" with a tolerance of {tolerance:g} µm." if tolerance else "."
@@ -133,6 +136,7 @@ def _errors(summary: Mapping[str, Any]) -> list[tuple[str, float]]:
     known = [
         ("volume of the tissue by coupling, relative", splitting.get("relative_volume_error")),
         ("volume of the worst cell by coupling, relative", splitting.get("worst_cell_error")),
+        ("volume by coupling, of first order", splitting.get("first_order_error")),
         ("balance of molecules, relative", (summary.get("ledger") or {}).get("relative_remainder")),
     ]
     return [

@@ -130,6 +130,7 @@ class Progress:
     replays: Mapping[str, float] = field(default_factory=dict)
     stability: Mapping[str, float] = field(default_factory=dict)
     cavity: float | None = None  # radius to which cells have widened a gel, µm
+    lengths: Sequence[float] = ()  # of steps that a run chooses: simulation.step_lengths
     learnt: Sequence[float] = ()  # what `auto` has: multicell.integrators.costs.Learnt
     inside: Sequence[str] = ()  # names of the columns of Cells.inside
 

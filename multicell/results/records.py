@@ -55,6 +55,7 @@ _OF_PARTS: Final = (
     "first_states",
     "inside",
     "learnt",
+    "lengths",
     "replays",
     "stability",
 )

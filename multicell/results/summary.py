@@ -16,6 +16,7 @@ from multicell.results.measures import scene_observables
 from multicell.results.observable import TissueState, represented
 from multicell.results.quantities import units_of
 from multicell.scene.sizes import birth_volumes
+from multicell.scene.steps import Lengths
 
 if TYPE_CHECKING:
     from multicell.cells import Cells
@@ -103,6 +104,11 @@ def run_summary(
         splitting["events_error"] = abs(progress.exposures["error"])
     if "networks" in progress.exposures:
         splitting["networks_error"] = progress.exposures["networks"]
+    if progress.lengths:
+        steps = Lengths(*progress.lengths)
+        splitting["first_order_error"] = steps.error
+        lengths = {"shortest": steps.shortest, "longest": steps.longest}
+        optional["coupling_steps"] = {**lengths, "exceeded": int(steps.exceeded)}
     summary = {
         **own,
         **({"splitting": splitting} if splitting else {}),

@@ -18,6 +18,7 @@ from multicell.errors import SceneError
 from multicell.scene.checks import check_kinds
 from multicell.scene.parts import span
 from multicell.scene.sizes import division_radii
+from multicell.scene.steps import longest_coupling_step
 from multicell.schema import parameters, quantity, text, vector, whole_numbers
 
 if TYPE_CHECKING:
@@ -93,11 +94,12 @@ def check_driven(scene: Scene) -> None:
             ids = None if table is None else table.given.columns.get("id")
             known = range(scene.initial.count) if ids is None else np.unique(ids)
             _check_identities(f"motions.{name}", motion, known)
-        way = scene.coupling_step * math.hypot(*motion.velocity)
+        step = longest_coupling_step(scene)
+        way = step * math.hypot(*motion.velocity)
         most = division_radii(scene)[0]
         if way > most:
             problem = (
-                f"moves cells by {way:.3g} um in a coupling step of {scene.coupling_step:g} s, "
+                f"moves cells by {way:.3g} um in a coupling step of {step:g} s, "
                 f"must be at most the smallest division radius, {most:g} um"
             )
             hint = f"Take a coupling_step of {most / math.hypot(*motion.velocity):.3g} s or less."

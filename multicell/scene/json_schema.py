@@ -101,12 +101,13 @@ def _number(bounds: Bounds | None, kind: str = "number") -> Schema:
     return {"type": kind, **limits}
 
 
-def _amount(unit: str, bounds: Bounds | None = None) -> Schema:
-    """Return the schema of a quantity, or of a number where there is no unit."""
+def _amount(unit: str, bounds: Bounds | None = None, words: tuple[str, ...] = ()) -> Schema:
+    """Return the schema of a quantity, or one of some words, or of a number without a unit."""
     if not unit:
         return _number(bounds)
     text = {**_TEXT, "examples": [f"1 {unit}"]}
-    return {"anyOf": [_number(bounds), text], "x-unit": unit}
+    named = [{"enum": list(words)}] if words else []
+    return {"anyOf": [_number(bounds), text, *named], "x-unit": unit}
 
 
 def _curve(x: Schema, y: Schema) -> Schema:
@@ -161,7 +162,7 @@ def _choice(spec: Parameter) -> Schema:
 
 
 _KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = {
-    "quantity": lambda spec, _: _amount(spec.unit, spec.bounds),
+    "quantity": lambda spec, _: _amount(spec.unit, spec.bounds, spec.options),
     "measure": lambda spec, _: _MEASURE,
     "measure_points": lambda spec, _: {
         "type": "array",

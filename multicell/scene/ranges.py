@@ -64,7 +64,7 @@ def _check_steps(scene: Scene) -> None:
         problem = f"is {fixed.step:g} s, must be at least {coupling_step / MAX_FIXED_STEPS:g} s"
         hint = f"A coupling step would take more than {MAX_FIXED_STEPS:g} steps."
         raise SceneError("integrator.step", problem, hint)
-    if scene.growth is None:
+    if scene.growth is None or scene.coupling_tolerance is not None:  # steps are short enough
         return
     # a cell divides once in a coupling step at most: a shorter cycle would only make it larger
     quickest = min((kind.cycle_scale for kind in scene.types.values()), default=1.0)

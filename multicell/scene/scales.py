@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 _SETTLED = 1.0
 """Largest diffusion time over coupling step at which ``auto`` takes a field as settled."""
+_CHOSEN = 600.0  # s, which stands for a coupling step where the run chooses them
 
 _POINTS = 5.0
 """Spacings in the diffusion length where the grid is chosen for the user."""
@@ -160,7 +161,8 @@ def regime(scene: Scene, name: str) -> str:
         return next((x for x in given if x != "auto"), "transient")
     if nutrient.regime != "auto":
         return nutrient.regime
-    settles = scales(scene, name).time <= _SETTLED * scene.coupling_step
+    step = scene.coupling_step if scene.coupling_tolerance is None else _CHOSEN
+    settles = scales(scene, name).time <= _SETTLED * step
     fixed = level_fixed(nutrient, scene.dimensions, repeating(scene))
     return "steady" if settles and fixed else "transient"
 

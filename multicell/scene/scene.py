@@ -77,6 +77,7 @@ from multicell.schema import (
     count,
     leaves,
     near_miss,
+    number,
     parameters,
     part_as_dict,
     place_of_key,
@@ -94,6 +95,10 @@ if TYPE_CHECKING:
 
 _WRITTEN = "# A scene of multicell"
 """What the files begin with that :meth:`Scene.to_toml` makes."""
+LONGEST: Final = 2400.0
+"""Longest step in s of ``coupling_step = "auto"``; longer ones cost hardly less."""
+TOLERANCE: Final = 1e-3
+"""Its tolerance, about the error of 10 min in tissue that presses itself."""
 _MAX_FILE_BYTES = 10_000_000
 """Bytes of a scene file; those with thousands of media changes have less than one million."""
 
@@ -112,6 +117,9 @@ class Scene:
     title : str
     duration : float, s
     coupling_step : float, s
+        With ``coupling_tolerance`` that of the longest steps.
+    coupling_tolerance : float or None
+        Part of the volume for which the run chooses the lengths of its steps.
     seed : int
         The same seed gives the same run.
     stop_cells : int or None
@@ -135,7 +143,19 @@ class Scene:
     title: str = text(default="", doc="one line about the scene")
     duration: float = quantity("s", above=0, doc="Simulated time, for example duration = '11 d'.")
     seed: int = count(default=0, at_least=0, at_most=2**63 - 1, doc="of the random number streams")
-    coupling_step: float = quantity("s", default=600.0, above=0, doc="between exchanges of parts")
+    coupling_step: float = quantity(
+        "s",
+        default=600.0,
+        above=0,
+        doc="between exchanges of parts; 'auto': up to 40 min, for an error of 0.1 % of the volume",
+        words=("auto",),
+    )
+    coupling_tolerance: float | None = number(
+        default=None,
+        at_least=1e-6,
+        at_most=0.1,
+        doc="part of the volume for which steps up to coupling_step are chosen; absent: all alike",
+    )
     dimensions: int = count(default=3, at_least=2, at_most=3, doc="2: all cells in one plane")
     stop_cells: int | None = count(default=None, at_least=1, doc="the run ends at so many cells")
     initial: Initial = table(Initial, default_factory=Initial, doc="the cells at the start")
@@ -190,6 +210,15 @@ class Scene:
     def prepare(self) -> None:
         """Turn oxygen's partial pressures into concentrations, before the parts are read."""
         object.__setattr__(self, "_written", {name: getattr(self, name) for name in specs(self)})
+        word = self.coupling_step
+        if isinstance(word, str) and word.strip().isalpha():
+            if word.strip().lower() != "auto":
+                hint = near_miss(word, ("auto",), listed=False)
+                problem = f"is {shown(word)}, must be a time or 'auto'"
+                raise SceneError("coupling_step", problem, hint)
+            object.__setattr__(self, "coupling_step", LONGEST)
+            if self.coupling_tolerance is None:
+                object.__setattr__(self, "coupling_tolerance", TOLERANCE)
         for name in ("nutrients", "reactions"):
             value = in_concentrations(getattr(self, name), (name,), self.nutrients)
             object.__setattr__(self, name, value)
@@ -286,6 +315,8 @@ class Scene:
         changed = {str(key).partition(".")[0] for key in changes}
         # the other parts are checked already; an unknown key is looked for in all
         entries = part_as_dict(self, changed if changed <= specs(Scene).keys() else None)
+        if "coupling_step" in changes and "coupling_tolerance" not in changes:
+            entries.pop("coupling_tolerance", None)  # one length for all, or that of 'auto'
         for key, value in changes.items():
             check_dotted(key)
             if "." not in key and key not in specs(Scene) and (hint := _meant(self, key)):

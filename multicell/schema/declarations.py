@@ -30,12 +30,19 @@ T = TypeVar("T")
 
 
 def quantity(
-    unit: str, *, default: Any = MISSING, doc: str = "", hint: str = "", **ends: float
+    unit: str,
+    *,
+    default: Any = MISSING,
+    doc: str = "",
+    hint: str = "",
+    words: tuple[str, ...] = (),
+    **ends: float,
 ) -> Any:
     """Declare a quantity: a number in the base unit or a string with a unit.
 
     With ``default=None`` the value may be None: the quantity is absent. ``ends`` are those of its
-    :class:`Bounds`; ``hint`` is given when a value lies outside.
+    :class:`Bounds`; ``hint`` is given when a value lies outside. ``words`` are those that the part
+    itself turns into quantities before they are read.
     """
     bounds = Bounds(**ends)
     return declare(
@@ -46,6 +53,7 @@ def quantity(
         doc=doc,
         bounds=bounds,
         allowed=bounds.words(unit),
+        options=words,
     )
 
 

@@ -24,6 +24,7 @@ from multicell.biology.growth import growth_factor, lag_after
 from multicell.biology.responding import with_newborn
 from multicell.biology.states import irradiate
 from multicell.biology.step import age_cells, bind_changed, decide, divide_and_remove, grow
+from multicell.biology.step_errors import step_errors
 from multicell.biology.surface import check_surface_held
 from multicell.biology.waiting import watched
 from multicell.cells import contact_rows, rows_before
@@ -31,6 +32,7 @@ from multicell.compiling.threads import share_rows
 from multicell.mechanics import neighbours
 from multicell.simulation.passages import Passed, after_conditions
 from multicell.simulation.run_state import RunState
+from multicell.simulation.step_lengths import lengths_after
 from multicell.simulation.timeline import Laps
 from multicell.vectors import wrapped
 
@@ -94,15 +96,19 @@ def next_state(run: Machinery, state: RunState) -> RunState:
     if plan.radiation:
         cells, dead = irradiate(plan, cells, run.field_system.concentrations, begin, end)
         lineage = lineage.died(cells, dead, end)
-    growth = None
+    growth, lengths, before, exposure = None, state.lengths, cells.lag, lived.exposure
+    row = vars(exposure).get("row") if exposure.cells.id is cells.id else None
     if plan.growth is not None and not jumps:
         # a jump changes nothing of the step that it ends
         here = run.signals(cells, passed.contacts, end)
         growth = growth_factor(plan, here, cells.pressure, cells)
-        exposure = lived.exposure
-        row = vars(exposure).get("row") if exposure.cells.id is cells.id else None
         lag = lag_after(plan, state.cells, factor, cells, growth, end - begin, row)
         cells = cells.changed(lag=lag)
+    if lengths:
+        wrong = abs(lived.exposures.get("error", 0.0) - state.exposures.get("error", 0.0))
+        errors = step_errors(plan, state.cells, cells, before, growth, end - begin, wrong, row)
+        lengths = lengths_after(lengths, timeline, begin, errors)
+        timeline = timeline.choosing(lengths)
     lap("biology")
     return RunState(
         cells=cells,
@@ -122,6 +128,7 @@ def next_state(run: Machinery, state: RunState) -> RunState:
         replays=moved.replays,
         stability=moved.stability,
         work=run.work(),
+        lengths=lengths,
         learnt=run.mover.system.learnt,
         cavity=run.mover.cavity,
         inside=state.inside,

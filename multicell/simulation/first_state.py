@@ -19,6 +19,7 @@ from multicell.scene.domain import check_start
 from multicell.scene.steps import step_plan
 from multicell.simulation.coupling_step import sorted_in_space
 from multicell.simulation.run_state import RunState
+from multicell.simulation.step_lengths import first_lengths
 from multicell.simulation.timeline import Laps, Timeline
 
 if TYPE_CHECKING:
@@ -37,7 +38,9 @@ def begun(run: Machinery, cells: Cells, lineage: Lineage, *, given_states: bool)
     Raises SceneError where a cell lies outside the domain, StepFailed where no field is found.
     """
     check_start(run.scene, cells)
-    timeline, fields = Timeline(step_plan(run.scene)), run.scene.nutrients
+    steps, fields = step_plan(run.scene), run.scene.nutrients
+    lengths = first_lengths(steps)
+    timeline = Timeline(steps).choosing(lengths)
     time, first = timeline.time, cells.take(np.argsort(cells.id))
     first.parent = np.full(len(first), -1)  # nothing is known of mothers before the start
     networks = run.plan.networks
@@ -64,6 +67,7 @@ def begun(run: Machinery, cells: Cells, lineage: Lineage, *, given_states: bool)
         replays=Replays(),
         stability=Stability() if run.mover.limit > 0.0 else None,
         work={},
+        lengths=lengths,
         learnt=(),
         cavity=None,
         inside=() if networks is None else networks.columns,

@@ -94,6 +94,7 @@ class RunState:
       take none
     - ``stability``: how far a fixed step was from its limit; None where the method has no limit
     - ``work``: counts of the cost of integration
+    - ``lengths``: of steps that the run chooses, and from what (:class:`.step_lengths.Lengths`)
     - ``learnt``: what ``auto`` has learnt from them (:class:`.integrators.costs.Learnt`)
     - ``cavity``, µm: radius to which cells have widened a gel, where its next one is looked for;
       None without a gel
@@ -118,6 +119,7 @@ class RunState:
     replays: Replays | None = field(metadata=_entry(None, _entries, _replays))
     stability: Stability | None = field(metadata=_entry(None, _entries, _stability))
     work: Mapping[str, int] = field(metadata=_entry(None, dict, dict))
+    lengths: Sequence[float] = field(metadata=_entry(None, list, tuple))
     learnt: Sequence[float] = field(metadata=_entry(None, list, tuple))
     cavity: float | None = field(metadata=_entry())
     inside: Sequence[str] = field(metadata=_entry(None, list, tuple))

@@ -19,6 +19,7 @@ from multicell.results.lineage import Lineage
 from multicell.results.observable import TissueState
 from multicell.scene.ranges import check_memory
 from multicell.scene.scene import Scene
+from multicell.scene.steps import Lengths
 from multicell.simulation.assembly import apart_at_start
 from multicell.simulation.coupling_step import next_state
 from multicell.simulation.first_state import begun, resumed
@@ -179,6 +180,9 @@ class Simulation:
             extra["splitting_events_error"] = abs(state.exposures.get("error", 0.0))
         if run.plan.networks is not None and run.plan.networks.change_fields:
             extra["splitting_networks_error"] = state.exposures.get("networks", 0.0)
+        if state.lengths:
+            chosen = Lengths(*state.lengths)
+            extra |= {"coupling_step": chosen.last, "splitting_first_order_error": chosen.error}
         if self.scene.motions:
             now = self._motion(self.time, self.time, state.cells.radius)
             extra |= driven.columns(run.plan, state.cells, state.named, self.mechanics, now)

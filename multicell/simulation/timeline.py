@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple, final
 from multicell.compiling import COMPILATION
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from multicell.results.frame import Frame
     from multicell.scene.steps import StepPlan
 
@@ -19,35 +21,43 @@ class Timeline(NamedTuple):
     - ``plan``: its coupling steps
     - ``step_index``: number of coupling steps done
     - ``time``, s: simulated
+    - ``length``, ``following``, s: chosen for the next step and the one after; None: of the plan
     """
 
     plan: StepPlan
     step_index: int = 0
     time: float = 0.0
+    length: float | None = None
+    following: float | None = None
 
     @classmethod
     def at_frame(cls, plan: StepPlan, frame: Frame) -> Timeline:
         """Return the time of a frame that a run is resumed from."""
-        return cls(plan, frame.step, frame.time)
+        lengths = () if frame.progress is None else frame.progress.lengths[:2]
+        return cls(plan, frame.step, frame.time, *lengths)
+
+    def choosing(self, lengths: Sequence[float]) -> Timeline:
+        """Return it with lengths of the next two steps, where a run chooses them."""
+        return Timeline(self.plan, self.step_index, self.time, *lengths[:2])
 
     def after_step(self) -> Timeline:
         """Return the time after the next step."""
-        return Timeline(self.plan, self.step_index + 1, self.next_time)
+        return Timeline(self.plan, self.step_index + 1, self.next_time, self.following)
 
     @property
     def next_time(self) -> float:
         """The end of the next coupling step, s."""
-        return self.plan.end_after(self.time)
+        return self.plan.end_after(self.time, self.length)
 
     @property
     def ahead(self) -> float:
         """Length of the next coupling step, s, also where the run ends before it."""
-        return self.plan.next_end(self.time) - self.time
+        return self.plan.next_end(self.time, self.length) - self.time
 
     @property
     def steps(self) -> int:
-        """Number of coupling steps to the run's end."""
-        return self.step_index + self.plan.steps_after(self.time)
+        """Number of coupling steps to the run's end, chosen ones as long as the next."""
+        return self.step_index + self.plan.steps_after(self.time, self.length)
 
     @property
     def is_over(self) -> bool:

@@ -8,21 +8,27 @@ Setting   (1) scenes without chance at three coupling steps, each against an eig
           their difference. What the positions of cells lose of each other adds 0.5 % in a pair.
           Draws do not depend on the step, so that each seed is compared with itself; (4) cells that
           keep a drug from each other and die of it, a dose at odd times, each against 2.5 min; (5)
-          the dead of a pulse on growing cells, by seed.
-Measures  volume of all cells; damage, integrals of hazards and the dead
-Cost      CPU time: (1) 1 min, (2) 15 s a seed, (3) 3 min a seed, (4) 30 s, (5) 6 s a seed
+          the dead of a pulse on growing cells, by seed; (6) steps whose lengths the run chooses for
+          three tolerances, and fixed ones of 10 min, each against 1.25 min: the scenes of (1),
+          tissue that grows, spheroids whose cells rest and die, a pulse.
+Measures  volume of all cells; damage, integrals of hazards and the dead; (6) resting and dead
+          cells, numbers of steps, CPU time of all steps
+Cost      CPU time: (1) 1 min, (2) 15 s a seed, (3) 3 min a seed, (4) 30 s, (5) 6 s a seed,
+          (6) 1 min and 1 min a seed
 Command   python tests/benchmarks/compare_coupling.py [--truth] [--pairs 8] [--spheroid 8]
-          [--exposures] [--pulse 8] [--first 1]
+          [--exposures] [--pulse 8] [--chosen 4] [--first 1]
 """
 
 from __future__ import annotations
 
 import argparse
+import time
 from typing import Any
 
 import numpy as np
 
 import multicell as mc
+from multicell.cells import FloatArray, State
 
 STEPS = (2400.0, 1200.0, 600.0)
 _CALM: dict[str, Any] = {
@@ -151,15 +157,74 @@ def pulse(seeds: range) -> None:
         print(f"| {seed} | {' | '.join(row)} |", flush=True)
 
 
+_RICH = {"nutrients.oxygen.boundary": "0.6 mM", "nutrients.oxygen.uptake": "5 amol/s"}
+_MANY = {"initial.stage": "asynchronous", "duration": "1 d", "output.every": "1 d"}
+
+
+def chosen_scenes() -> dict[str, tuple[mc.Scene, bool]]:
+    """Return scenes for steps that runs choose, and whether chance matters in them."""
+    spheroid = mc.load_scene("spheroid").with_changes(_MANY)
+    limited = {"initial.count": 1500, "nutrients.oxygen.uptake": "120 amol/s"}
+    emt6 = mc.load_scene("emt6").with_changes({**_MANY, "initial.count": 1000})
+    certain = {name: (mc.Scene.from_dict(entries), False) for name, entries in CERTAIN.items()}
+    return {
+        **certain,
+        "growth under pressure": (spheroid.with_changes({**_RICH, "initial.count": 1000}), True),
+        "a spheroid short of oxygen": (spheroid.with_changes(limited), True),
+        "EMT6": (emt6, True),
+        "a pulse": (mc.load_scene("dosing").with_changes({**_PULSE, "duration": "12 h"}), True),
+    }
+
+
+def _stepped(scene: mc.Scene) -> tuple[FloatArray, float]:
+    """Return volume, resting cells, dead cells and steps of a run, and its CPU time in s."""
+    run, begin = mc.Simulation(scene, threads=1), time.process_time()
+    while not run.finished:
+        run.step()
+    spent, cells = time.process_time() - begin, run.cells
+    resting = int((cells.state == State.QUIESCENT).sum())
+    numbers = float(cells.volume.sum()), resting, int(cells.dead.sum()), run.step_index
+    return np.array(numbers, float), spent
+
+
+def chosen(seeds: range) -> None:
+    """Print errors and cost of steps that runs choose, beside those of 10 min."""
+    print("| scene | steps | volume / % | resting, dead | steps | CPU of 10 min |")
+    print("|---|---|---|---|---|---|")
+    ways: dict[str, dict[str, Any]] = {"10 min": {"coupling_step": "10 min"}}
+    for asked in (3e-3, 1e-3, 3e-4):
+        ways[f"{100 * asked:g} %"] = {"coupling_step": "auto", "coupling_tolerance": asked}
+    for name, (scene, by_chance) in chosen_scenes().items():
+        found: dict[str, list[tuple[FloatArray, float]]] = {way: [] for way in ways}
+        true = []
+        for seed in seeds if by_chance else seeds[:1]:
+            seeded = scene.with_changes({"seed": seed})
+            true.append(_stepped(seeded.with_changes({"coupling_step": "1.25 min"}))[0])
+            for way, changes in ways.items():
+                found[way].append(_stepped(seeded.with_changes(changes)))
+        usual = sum(spent for _, spent in found["10 min"])
+        for way, runs in found.items():
+            off = np.array(
+                [numbers - exact for (numbers, _), exact in zip(runs, true, strict=True)]
+            )
+            part = 100.0 * off[:, 0] / np.array(true)[:, 0]
+            spread = f" ± {part.std(ddof=1) / len(part) ** 0.5:.3f}" if len(part) > 1 else ""
+            _, rest, dead, _ = off.mean(axis=0)
+            steps = np.mean([numbers[3] for numbers, _ in runs])
+            spent = sum(spent for _, spent in runs) / usual
+            print(f"| {name} | {way} | {part.mean():+.4f}{spread} | {rest:+.1f}, {dead:+.1f} | "
+                  f"{steps:.0f} | {spent:.2f} |", flush=True)  # fmt: skip
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--truth", action="store_true")
     parser.add_argument("--exposures", action="store_true")
-    for name in ("--pairs", "--spheroid", "--pulse"):
+    for name in ("--pairs", "--spheroid", "--pulse", "--chosen"):
         parser.add_argument(name, type=int, default=0, help="number of seeds")
     parser.add_argument("--first", type=int, default=1, help="seed")
     given = parser.parse_args()
-    asked = given.truth, given.pairs, given.spheroid, given.exposures, given.pulse
+    asked = given.truth, given.pairs, given.spheroid, given.exposures, given.pulse, given.chosen
     every = not any(asked)
     if given.truth or every:
         truth()
@@ -167,6 +232,8 @@ def main() -> None:
         exposures()
     if given.pulse or every:
         pulse(range(given.first, given.first + (given.pulse or 8)))
+    if given.chosen or every:
+        chosen(range(given.first, given.first + (given.chosen or 4)))
     spheroid = mc.load_scene("spheroid")
     if given.pairs or every:
         changes = {"initial.count": 100, "initial.stage": "asynchronous", "duration": "1 d",

@@ -273,6 +273,9 @@ def special():
         }},
     }  # fmt: skip
     growing = {name: scene[name] for name in ("duration", "coupling_step", "initial", "growth")}
+    pressed = {**growing["growth"], "critical_pressure": "0.05 kPa"}
+    chosen = {**growing, "growth": pressed, "coupling_tolerance": 1e-6}
+    yield "chosen steps", {**chosen, "contact": {"law": "hertz"}}
     yield "stop", {**growing, "contact": {"law": "hertz"}, "stop_cells": 31}
     phases = {name: {"duration": "30 min"} for name in ("G1", "S", "G2", "M")}
     phases["S"]["after"] = "age > 20 min"
@@ -393,6 +396,7 @@ TEXTS = {
 """Other values of keys that name something."""
 
 FAR = {
+    "coupling_tolerance": [0.1],
     "types.*.necrosis_of": [{"oxygen": 1.045}],
     "radiation.*.phase_factor": [{"G1": 9.0}],
 }

@@ -69,6 +69,10 @@ SCENES = {
         },
         "integrator": {"method": "auto"},
     },
+    "lengths of steps that the run chooses": {
+        **SHORT, "initial": {"count": 8}, "growth": {"critical_pressure": 0.1},
+        "coupling_step": "auto",
+    },
     "networks that exchange": {
         **SHORT, "initial": {"count": 8}, "growth": {},
         "nutrients": {"oxygen": {"boundary": 0.2, "spacing": 20.0}},

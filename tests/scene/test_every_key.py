@@ -32,7 +32,7 @@ OWN = (
 test_own_observable, test_responses."""
 
 BASES = dict(bases())
-ALWAYS = ("2D, hertz", "stop", "plane", "drifting")
+ALWAYS = ("2D, hertz", "stop", "chosen steps", "plane", "drifting")
 """Scenes of which all keys are tried each time."""
 
 

@@ -27,6 +27,7 @@ from multicell.scene.reactions import group_of
 from multicell.scene.scales import MAX_NODES, MAX_UNEVEN, regime
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import typical_radius
+from multicell.scene.steps import usual_coupling_step
 
 _PROCESS: Final = 190e6  # bytes that Python, its packages and compiled code take
 _COMPILING: Final = 140e6  # and what numba and LLVM take at most in a run that compiles
@@ -84,7 +85,7 @@ def predict(scene: Scene) -> Prediction:
     """Predict the cost of a run of a scene with an output folder."""
     found = expected_course(scene)
     end = float(found.times[-1])
-    steps = max(1.0, end / scene.coupling_step)
+    steps = max(1.0, end / usual_coupling_step(scene))
     frames = min(math.ceil(end / scene.output.every), steps) + 1.0
     cells = _mean(found, found.cells)
     seconds, memory, file = _fields(scene, found, steps, frames)
@@ -120,13 +121,11 @@ def network_cost(scene: Scene, name: str) -> tuple[float, float]:
     """
     from multicell.networks.expected import network_evaluations
 
-    part = scene.networks[name]
+    part, step = scene.networks[name], usual_coupling_step(scene)
     if part.step is not None:
-        count = _STAGES * scene.coupling_step / part.step
+        count = _STAGES * step / part.step
     else:
-        count = network_evaluations(
-            part.model, scene.coupling_step / part.seconds(), part.tolerance
-        )
+        count = network_evaluations(part.model, step / part.seconds(), part.tolerance)
     if math.isnan(count):
         return count, 0.0
     each = _NETWORK_RATE * (1 + len(part.model.states))
@@ -149,7 +148,7 @@ def evaluations(scene: Scene) -> float:
     more where the tolerance is tight (their order is two); where that is many, stabilised and
     implicit ones take over. Fixed steps are counted.
     """
-    options, coupling_step = scene.integrator, scene.coupling_step
+    options, coupling_step = scene.integrator, usual_coupling_step(scene)
     fixed = {m.info.name: m for m in (Euler, Heun, RungeKutta4)}
     if options.method in fixed:
         return len(fixed[options.method].tableau.b) * coupling_step / options.step
@@ -211,7 +210,7 @@ def solutions(scene: Scene, name: str, found: Course, steps: float) -> float:
     nutrient, spacing = scene.nutrients[name], FieldParameters.of(scene, name).spacing
     tolerance, number = nutrient.time_tolerance, max(1.0, _mean(found, found.cells))
     kick = _KICK * number ** (-2.0 / 3.0)
-    seen = kick / (1.0 + 0.1 * scene.coupling_step * nutrient.diffusion / spacing**2)
+    seen = kick / (1.0 + 0.1 * usual_coupling_step(scene) * nutrient.diffusion / spacing**2)
     dividing = -math.expm1(-max(0.0, float(found.cells[-1] - found.cells[0])) / steps)
     later = _USUAL + dividing * _KICKED * max(0.0, math.log(seen / tolerance))
     return 3.0 * (_FIRST / math.sqrt(tolerance) + later * max(0.0, steps - 1.0))

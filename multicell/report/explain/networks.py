@@ -9,6 +9,7 @@ from multicell.report.explain.cost import network_cost
 from multicell.scene.conditions import conditions
 from multicell.scene.networks import flux_of
 from multicell.scene.scene import Scene
+from multicell.scene.steps import longest_coupling_step
 
 
 def network_words(scene: Scene, name: str) -> str:
@@ -67,4 +68,5 @@ def _stiffness(scene: Scene, name: str) -> str:
     rate = fastest_rate(part.model) / part.seconds()
     if not rate > 0.0:
         return "nothing changes at the start"
-    return f"fastest time scale at the start {1.0 / rate:.3g} s of {scene.coupling_step:g} s a step"
+    step = longest_coupling_step(scene)
+    return f"fastest time scale at the start {1.0 / rate:.3g} s of {step:g} s a step"

@@ -18,6 +18,7 @@ from multicell.scene.reactions import Reaction, group_of
 from multicell.scene.responses import relevant_fields, type_thresholds
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import typical_radius
+from multicell.scene.steps import usual_coupling_step
 
 if TYPE_CHECKING:
     from multicell.scene.initial_files import InitialFile
@@ -167,12 +168,13 @@ def _numbers(scene: Scene, name: str) -> list[Number]:
     √(2 D c / q).
     """
     nutrient, found = scene.nutrients[name], scales.scales(scene, name)
+    step = usual_coupling_step(scene)
     numbers = [
         Number(
             f"{name}: diffusion time",
             found.time,
             "s",
-            f"to settle over {found.length:.3g} um; a coupling step is {scene.coupling_step:g} s",
+            f"to settle over {found.length:.3g} um; a coupling step is {step:g} s",
         )
     ]
     if nutrient.finite_medium is not None and nutrient.takes_up:
@@ -207,7 +209,7 @@ def _numbers(scene: Scene, name: str) -> list[Number]:
 
 def nutrient_notes(scene: Scene) -> list[str]:
     """Return remarks on settings of fields that are allowed but may not be meant."""
-    notes = []
+    notes, step = [], usual_coupling_step(scene)
     for name, nutrient in scene.nutrients.items():
         rests = type_thresholds(scene, name, "quiescence")
         if nutrient.highest < min(rests.values(), default=0.0):
@@ -215,7 +217,7 @@ def nutrient_notes(scene: Scene) -> list[str]:
         if name not in relevant_fields(scene):
             hint = "give thresholds such as quiescence, or a response to it"
             notes.append(f"{name} has no effect on the cells: {hint}.")
-        if nutrient.regime == "steady" and scales.scales(scene, name).time > scene.coupling_step:
+        if nutrient.regime == "steady" and scales.scales(scene, name).time > step:
             notes.append(
                 f"{name} settles in {hours(scales.scales(scene, name).time)}, later than a "
                 "coupling step, but is solved as steady: regime = 'auto' would make it transient."

@@ -25,7 +25,7 @@ from multicell.scene.responses import Effect, effects
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius
 from multicell.scene.start_checks import deep_overlaps
-from multicell.scene.steps import step_plan
+from multicell.scene.steps import longest_coupling_step, step_plan, usual_coupling_step
 from multicell.simulation.start_check import check_population
 
 
@@ -248,7 +248,11 @@ def _domain_words(scene: Scene) -> str:
 
 def _run(scene: Scene) -> list[Number]:
     plan = step_plan(scene)
-    steps, words = plan.steps_after(0.0), f"of {scene.coupling_step:g} s each"
+    steps, words = plan.steps_after(0.0), f"of {plan.coupling_step:g} s each"
+    if plan.tolerance is not None:
+        steps = plan.steps_after(0.0, usual_coupling_step(scene))
+        words = f"chosen for an error of {100 * plan.tolerance:g} % of the volume, up to "
+        words += f"{plan.coupling_step:g} s long"
     added = sum(time < scene.duration for time in plan.added)
     if added:
         words += f"; {added:,} of them because steps also end where something scheduled changes"
@@ -298,7 +302,7 @@ def _notes(scene: Scene) -> list[str]:
             f"Cells that wait for their {slowed[0]} keep growing, beyond the volume of division "
             "where that takes long. growth.hypertrophy = false stops them there."
         )
-    if scene.growth is not None and scene.coupling_step > 0.05 * scene.growth.mean_cycle:
+    if scene.growth is not None and longest_coupling_step(scene) > 0.05 * scene.growth.mean_cycle:
         notes.append(
             "The coupling step is above a twentieth of the cycle time: divisions come late. "
             "Take a smaller coupling_step."

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final
 from multicell.report.explain.items import Number
 from multicell.scene.pairs import daughters_stiffness, drag, type_pairs
 from multicell.scene.sizes import birth_radius, typical_radius
+from multicell.scene.steps import longest_coupling_step
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -26,7 +27,7 @@ _SIZES: Final = (100, 1000, 10_000, 100_000)  # cells of the tiles
 
 def stiffness_of(scene: Scene) -> tuple[float, float]:
     """Return the estimates of λΔt for tissue at rest and just after a division; 0 without one."""
-    radius, dt = typical_radius(scene), scene.coupling_step
+    radius, dt = typical_radius(scene), longest_coupling_step(scene)
     resting = max(
         pair.stiffness(pair.equilibrium_overlap()) / (pair.rest / (2.0 * radius))
         for _, pair in type_pairs(scene, radius)
