@@ -11,6 +11,7 @@ from multicell.cells import FloatArray
 from multicell.compiling import INNER
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.neighbours.bins import (
+    LANES,
     SEARCHED,
     SLABS,
     SLICES,
@@ -114,13 +115,13 @@ def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
     at, stop = np.empty(2, np.int64), np.empty(2, np.int64)
     at[0], stop[0] = base[c], base[c] + room[c, 0]
     at[1], stop[1] = stop[0], stop[0] + room[c, 1]
-    hits = np.empty(2 * SEARCHED, np.int32)
+    hits = np.empty(2 * SEARCHED + LANES, np.int32)
     cells, start, shape, low = bins.cells, bins.start, bins.shape, bins.low
     width, scale, dense = 2.0 * bins.largest, 0.5 * SLICES / bins.largest, shape[0] > 0
     for i in range(np.uint64(own[0]), np.uint64(own[1])):
         # a typed zero: a bare one would have the functions below compiled twice
         a, count = np.int64(bins.place[i]), np.int64(0)
-        reach = cells[a, 3] + bins.largest
+        reach = cells[3, a] + bins.largest
         iy, iz = row_of(bins, a)
         for neighbour in range(5):
             if dense:
@@ -128,7 +129,7 @@ def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
                 v, w = iy + dy, iz + dz
                 if v < 0 or v >= shape[1] or w >= shape[2]:
                     continue
-                y, z = cells[a, 1] - low[1], cells[a, 2] - low[2]
+                y, z = cells[1, a] - low[1], cells[2, a] - low[2]
                 y = 0.0 if dy == 0 else y - (iy + max(dy, 0)) * width
                 z = 0.0 if dz == 0 else z - w * width
                 # wider by a millionth, so that rounding loses no pair
@@ -140,7 +141,7 @@ def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
                     (w * shape[1] + v) * shape[0],
                     start,
                     shape[0],
-                    cells[a, 0] - low[0],
+                    cells[0, a] - low[0],
                     math.sqrt(rest),
                     scale,
                     a,

@@ -10,6 +10,7 @@ from numba import njit, prange
 from multicell.compiling import INNER
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.neighbours.bins import (
+    LANES,
     SEARCHED,
     SLABS,
     SLICES,
@@ -121,19 +122,19 @@ def _pairs_of(part, cell, moved, bins, first, second):
     """
     cells, shape, low = bins.cells, bins.shape, bins.low
     begin, end = part * _PART, min((part + 1) * _PART, cell.size)
-    at, hits = np.int64(_FOUND * begin), np.empty(_FOUND + 2 * SEARCHED, np.int32)
+    at, hits = np.int64(_FOUND * begin), np.empty(_FOUND + 2 * SEARCHED + LANES, np.int32)
     width, scale = 2.0 * bins.largest, 0.5 * SLICES / bins.largest
     for k in range(begin, end):
         i = np.int64(cell[k])
         a, count = np.int64(bins.place[i]), np.int64(0)
-        reach = cells[a, 3] + bins.largest
+        reach = cells[3, a] + bins.largest
         iy, iz = row_of(bins, a)
         for neighbour in range(9):
             dy, dz = neighbour % 3 - 1, neighbour // 3 - 1
             v, w = iy + dy, iz + dz
             if v < 0 or v >= shape[1] or w < 0 or w >= shape[2]:
                 continue
-            y, z = cells[a, 1] - low[1], cells[a, 2] - low[2]
+            y, z = cells[1, a] - low[1], cells[2, a] - low[2]
             y = 0.0 if dy == 0 else y - (iy + max(dy, 0)) * width
             z = 0.0 if dz == 0 else z - (iz + max(dz, 0)) * width
             rest = reach * reach * 1.000001 - y * y - z * z
@@ -144,7 +145,7 @@ def _pairs_of(part, cell, moved, bins, first, second):
                 (w * shape[1] + v) * shape[0],
                 bins.start,
                 shape[0],
-                cells[a, 0] - low[0],
+                cells[0, a] - low[0],
                 math.sqrt(rest),
                 scale,
                 a,
