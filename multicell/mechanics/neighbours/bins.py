@@ -7,6 +7,7 @@ proportional to cells and pairs.
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,8 +28,7 @@ SLABS = 64
 SLICES = 4  # bins along x for each along y and z
 _LARGEST = 6  # column of ``extent`` behind both corners: the largest radius of a chunk
 _X, _Y, _Z = np.arange(3)  # axes; with literals each would have its own functions compiled
-SEARCHED = 512  # candidates that are tested in one go
-LANES = 8  # of them that the vector units take at once
+LANES = 8  # candidates that are tested at once
 
 
 class Bins(NamedTuple):
@@ -303,26 +303,38 @@ def dense_bins(position, radius, skin, chunk):
 
 
 @njit(**INLINED)
-def row_of(bins, a):
-    """Return the row of place ``a`` in a dense grid, its bins along y and z."""
-    if bins.shape[0] == 0:
-        return 0, 0
-    iy = _bin_along(bins.cells[1, a], _Y, bins.largest, bins.low, bins.shape)
-    return iy, _bin_along(bins.cells[2, a], _Z, bins.largest, bins.low, bins.shape)
+def ranges_near(bins, a, first, ranges):
+    """Note the ranges of places that may hold the neighbours of place ``a``; return how many.
 
+    Of the nine rows of a dense grid next to its own those from ``first`` on; from the own row, 4,
+    on, only what comes later counts. Rows without any are written and overwritten: a branch would
+    mispredict.
 
-@njit(**INLINED)
-def range_of(neighbour, line, start, slices, x, half, scale, place):
-    """Return the range of places to look through in one row of a dense grid.
-
-    ``line`` is the first of the row's bins, ``x ± half``, µm from the grid's end, what is looked
-    for there. In a cell's own row only what comes later counts.
+    - ``ranges``, (10, 2) int64: the first place and the end of each
     """
-    high = min(np.int64((x + half) * scale), slices - 1)
-    end = np.int64(start[np.uint64(line + high + 1)])
-    if neighbour == 0:
-        return place + 1, end
-    return np.int64(start[np.uint64(line + max(np.int64((x - half) * scale), 0))]), end
+    cells, start, shape, low = bins.cells, bins.start, bins.shape, bins.low
+    width, scale = 2.0 * bins.largest, 0.5 * SLICES / bins.largest
+    iy = _bin_along(cells[1, a], _Y, bins.largest, low, shape)
+    iz = _bin_along(cells[2, a], _Z, bins.largest, low, shape)
+    reach, count = cells[RADIUS, a] + bins.largest, np.int64(0)
+    x, y, z = cells[0, a] - low[0], cells[1, a] - low[1], cells[2, a] - low[2]
+    for row in range(first, 9):
+        dy, dz = row % 3 - 1, row // 3 - 1
+        v, w = iy + dy, iz + dz
+        beside = 0.0 if dy == 0 else y - (iy + max(dy, 0)) * width
+        above = 0.0 if dz == 0 else z - (iz + max(dz, 0)) * width
+        # wider by a millionth, so that rounding loses no pair
+        rest = reach * reach * 1.000001 - beside * beside - above * above
+        inside = (v >= 0) & (v < shape[1]) & (w >= 0) & (w < shape[2]) & (rest > 0.0)
+        line = (w * shape[1] + v) * shape[0] if inside else np.int64(0)
+        half = math.sqrt(max(rest, 0.0))
+        left, right = np.int64((x - half) * scale), np.int64((x + half) * scale)
+        begin = np.int64(start[np.uint64(line + max(left, 0))])
+        begin = a + 1 if row == first and first == 4 else begin
+        end = np.int64(start[np.uint64(line + min(right, shape[0] - 1) + 1)])
+        ranges[count, 0], ranges[count, 1] = begin, end
+        count += np.int64(inside & (begin < end))
+    return count
 
 
 @intrinsic
@@ -335,7 +347,11 @@ def _close(context: Any, cells, begin, x, y, z, r):
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         array = context.make_array(signature.args[0])(context, builder, values[0])
         kind, row = ir.VectorType(ir.DoubleType(), LANES), builder.extract_value(array.shape, 1)
-        zeros, place, squares = ir.Constant(ir.VectorType(ir.IntType(32), LANES), None), values[1], []
+        zeros, place, squares = (
+            ir.Constant(ir.VectorType(ir.IntType(32), LANES), None),
+            values[1],
+            [],
+        )
         for axis, value in enumerate(values[2:]):
             one = builder.insert_element(kind(ir.Undefined), value, ir.IntType(32)(0))
             same = builder.shuffle_vector(one, kind(ir.Undefined), zeros)
@@ -352,18 +368,16 @@ def _close(context: Any, cells, begin, x, y, z, r):
 
 
 @njit(**INLINED)
-def collect(cells, begin, end, a, hits, count):
-    """Append the places in ``begin:end`` that are close to place ``a``; return how many there are.
+def collect(cells, block, end, a, hits, count):
+    """Append the places from ``block`` on that are close to place ``a``; return how many there are.
 
     :data:`LANES` candidates are tested at once, also beyond the end, where nothing counts. The
     writes are unconditional and only the count depends on the tests: one cell in three is close,
     which a branch would mispredict.
     """
-    x, y, z, r = cells[0, a], cells[1, a], cells[2, a], cells[RADIUS, a]
-    for block in range(begin, end, LANES):
-        close = _close(cells, block, x, y, z, r)
-        close &= (np.int64(1) << min(end - block, LANES)) - np.int64(1)
-        for k in range(LANES):
-            hits[np.uint64(count)] = block + k
-            count += (close >> k) & np.int64(1)
+    close = _close(cells, block, cells[0, a], cells[1, a], cells[2, a], cells[RADIUS, a])
+    close &= (np.int64(1) << min(end - block, LANES)) - np.int64(1)
+    for k in range(LANES):
+        hits[np.uint64(count)] = block + k
+        count += (close >> k) & np.int64(1)
     return count

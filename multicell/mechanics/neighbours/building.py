@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit, prange
 
@@ -12,19 +10,17 @@ from multicell.compiling import INNER
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.neighbours.bins import (
     LANES,
-    SEARCHED,
     SLABS,
-    SLICES,
     Bins,
     collect,
     dense_bins,
-    range_of,
-    row_of,
+    ranges_near,
     sparse_bins,
 )
 from multicell.mechanics.neighbours.pair_list import CHUNK, IndexArray, PairList
 
 _SPARE_PAIRS = 4_000_000  # beyond 500 for each cell: more is no tissue, and fills the memory
+_HITS = 512  # neighbours of a cell that are noted in one go
 
 
 class TooManyPairsError(Exception):
@@ -115,44 +111,20 @@ def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
     at, stop = np.empty(2, np.int64), np.empty(2, np.int64)
     at[0], stop[0] = base[c], base[c] + room[c, 0]
     at[1], stop[1] = stop[0], stop[0] + room[c, 1]
-    hits = np.empty(2 * SEARCHED + LANES, np.int32)
-    cells, start, shape, low = bins.cells, bins.start, bins.shape, bins.low
-    width, scale, dense = 2.0 * bins.largest, 0.5 * SLICES / bins.largest, shape[0] > 0
+    hits, ranges = np.empty(_HITS + LANES, np.int32), np.empty((10, 2), np.int64)
     for i in range(np.uint64(own[0]), np.uint64(own[1])):
         # a typed zero: a bare one would have the functions below compiled twice
         a, count = np.int64(bins.place[i]), np.int64(0)
-        reach = cells[3, a] + bins.largest
-        iy, iz = row_of(bins, a)
-        for neighbour in range(5):
-            if dense:
-                dy, dz = (neighbour + 4) % 3 - 1, (neighbour + 4) // 3 - 1
-                v, w = iy + dy, iz + dz
-                if v < 0 or v >= shape[1] or w >= shape[2]:
-                    continue
-                y, z = cells[1, a] - low[1], cells[2, a] - low[2]
-                y = 0.0 if dy == 0 else y - (iy + max(dy, 0)) * width
-                z = 0.0 if dz == 0 else z - w * width
-                # wider by a millionth, so that rounding loses no pair
-                rest = reach * reach * 1.000001 - y * y - z * z
-                if rest <= 0.0:
-                    continue
-                begin, end = range_of(
-                    neighbour,
-                    (w * shape[1] + v) * shape[0],
-                    start,
-                    shape[0],
-                    cells[0, a] - low[0],
-                    math.sqrt(rest),
-                    scale,
-                    a,
-                )
-            else:
-                begin, end = bins.ranges[i, neighbour, 0], bins.ranges[i, neighbour, 1]
-            for block in range(begin, end, SEARCHED):
-                if count > SEARCHED:
+        if bins.shape[0] > 0:
+            parts = ranges_near(bins, a, 4, ranges)
+        else:
+            parts, ranges = np.int64(5), bins.ranges[i]
+        for part in range(parts):
+            for block in range(ranges[part, 0], ranges[part, 1], LANES):
+                if count > _HITS - LANES:
                     _note(i, own, bins.order, hits, count, at, stop, first, second)
                     count = np.int64(0)
-                count = collect(cells, block, min(block + SEARCHED, end), a, hits, count)
+                count = collect(bins.cells, block, ranges[part, 1], a, hits, count)
         _note(i, own, bins.order, hits, count, at, stop, first, second)
         if at[0] - base[c] + at[1] - stop[0] > limit:
             break

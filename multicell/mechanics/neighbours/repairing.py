@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit, prange
 
@@ -11,13 +9,10 @@ from multicell.compiling import INNER
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.neighbours.bins import (
     LANES,
-    SEARCHED,
     SLABS,
-    SLICES,
     collect,
     dense_bins,
-    range_of,
-    row_of,
+    ranges_near,
 )
 from multicell.mechanics.neighbours.margins import next_margin
 
@@ -120,39 +115,16 @@ def _pairs_of(part, cell, moved, bins, first, second):
 
     -1 without room: each of the cells has :data:`_FOUND` places.
     """
-    cells, shape, low = bins.cells, bins.shape, bins.low
     begin, end = part * _PART, min((part + 1) * _PART, cell.size)
-    at, hits = np.int64(_FOUND * begin), np.empty(_FOUND + 2 * SEARCHED + LANES, np.int32)
-    width, scale = 2.0 * bins.largest, 0.5 * SLICES / bins.largest
+    at, hits = np.int64(_FOUND * begin), np.empty(_FOUND + 2 * LANES, np.int32)
+    ranges = np.empty((10, 2), np.int64)
     for k in range(begin, end):
         i = np.int64(cell[k])
         a, count = np.int64(bins.place[i]), np.int64(0)
-        reach = cells[3, a] + bins.largest
-        iy, iz = row_of(bins, a)
-        for neighbour in range(9):
-            dy, dz = neighbour % 3 - 1, neighbour // 3 - 1
-            v, w = iy + dy, iz + dz
-            if v < 0 or v >= shape[1] or w < 0 or w >= shape[2]:
-                continue
-            y, z = cells[1, a] - low[1], cells[2, a] - low[2]
-            y = 0.0 if dy == 0 else y - (iy + max(dy, 0)) * width
-            z = 0.0 if dz == 0 else z - (iz + max(dz, 0)) * width
-            rest = reach * reach * 1.000001 - y * y - z * z
-            if rest <= 0.0:
-                continue
-            from_, to = range_of(
-                1,
-                (w * shape[1] + v) * shape[0],
-                bins.start,
-                shape[0],
-                cells[0, a] - low[0],
-                math.sqrt(rest),
-                scale,
-                a,
-            )
-            for block in range(from_, to, SEARCHED):
-                count = collect(cells, block, min(block + SEARCHED, to), a, hits, count)
-                if count > _FOUND + SEARCHED:
+        for row in range(ranges_near(bins, a, 0, ranges)):
+            for block in range(ranges[row, 0], ranges[row, 1], LANES):
+                count = collect(bins.cells, block, ranges[row, 1], a, hits, count)
+                if count > _FOUND + LANES:
                     return -1
         if at + count > _FOUND * end:
             return -1
