@@ -304,9 +304,9 @@ def dense_bins(position, radius, skin, chunk):
 
 @njit(**INLINED)
 def ranges_near(bins, a, first, ranges):
-    """Note the ranges of places that may hold the neighbours of place ``a``; return how many.
+    """Note the ranges of places that may hold neighbours of place ``a``; return how many blocks.
 
-    Of the nine rows of a dense grid next to its own those from ``first`` on; from the own row, 4,
+    A block is of :data:`LANES` places. Of the nine rows of a dense grid next to its own those from ``first`` on; from the own row, 4,
     on, only what comes later counts. Rows without any are written and overwritten: a branch would
     mispredict.
 
@@ -316,7 +316,7 @@ def ranges_near(bins, a, first, ranges):
     width, scale = 2.0 * bins.largest, 0.5 * SLICES / bins.largest
     iy = _bin_along(cells[1, a], _Y, bins.largest, low, shape)
     iz = _bin_along(cells[2, a], _Z, bins.largest, low, shape)
-    reach, count = cells[RADIUS, a] + bins.largest, np.int64(0)
+    reach, count, blocks = cells[RADIUS, a] + bins.largest, np.int64(0), np.int64(0)
     x, y, z = cells[0, a] - low[0], cells[1, a] - low[1], cells[2, a] - low[2]
     for row in range(first, 9):
         dy, dz = row % 3 - 1, row // 3 - 1
@@ -333,8 +333,29 @@ def ranges_near(bins, a, first, ranges):
         begin = a + 1 if row == first and first == 4 else begin
         end = np.int64(start[np.uint64(line + min(right, shape[0] - 1) + 1)])
         ranges[count, 0], ranges[count, 1] = begin, end
-        count += np.int64(inside & (begin < end))
-    return count
+        some = np.int64(inside & (begin < end))
+        count += some
+        blocks += some * ((end - begin + LANES - 1) // LANES)
+    return blocks
+
+
+@njit(**INLINED)
+def ranges_found(found, ranges):
+    """Note the ranges of sparse bins that are not empty; return how many blocks they have."""
+    count, blocks = np.int64(0), np.int64(0)
+    for row in range(found.shape[0]):
+        begin, end = found[row, 0], found[row, 1]
+        ranges[count, 0], ranges[count, 1] = begin, end
+        if begin < end:
+            count, blocks = count + 1, blocks + (end - begin + LANES - 1) // LANES
+    return blocks
+
+
+@njit(**INLINED)
+def next_block(ranges, part, block):
+    """Return the range and the place where the next block begins."""
+    over, block = block + LANES >= ranges[part, 1], block + LANES
+    return part + np.int64(over), ranges[part + 1, 0] if over else block
 
 
 @intrinsic

@@ -14,6 +14,8 @@ from multicell.mechanics.neighbours.bins import (
     Bins,
     collect,
     dense_bins,
+    next_block,
+    ranges_found,
     ranges_near,
     sparse_bins,
 )
@@ -116,15 +118,16 @@ def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
         # a typed zero: a bare one would have the functions below compiled twice
         a, count = np.int64(bins.place[i]), np.int64(0)
         if bins.shape[0] > 0:
-            parts = ranges_near(bins, a, 4, ranges)
+            blocks = ranges_near(bins, a, 4, ranges)
         else:
-            parts, ranges = np.int64(5), bins.ranges[i]
-        for part in range(parts):
-            for block in range(ranges[part, 0], ranges[part, 1], LANES):
-                if count > _HITS - LANES:
-                    _note(i, own, bins.order, hits, count, at, stop, first, second)
-                    count = np.int64(0)
-                count = collect(bins.cells, block, ranges[part, 1], a, hits, count)
+            blocks = ranges_found(bins.ranges[i], ranges)
+        part, block = np.int64(0), ranges[0, 0]
+        for _ in range(blocks):
+            if count > _HITS - LANES:
+                _note(i, own, bins.order, hits, count, at, stop, first, second)
+                count = np.int64(0)
+            count = collect(bins.cells, block, ranges[part, 1], a, hits, count)
+            part, block = next_block(ranges, part, block)
         _note(i, own, bins.order, hits, count, at, stop, first, second)
         if at[0] - base[c] + at[1] - stop[0] > limit:
             break

@@ -12,6 +12,7 @@ from multicell.mechanics.neighbours.bins import (
     SLABS,
     collect,
     dense_bins,
+    next_block,
     ranges_near,
 )
 from multicell.mechanics.neighbours.margins import next_margin
@@ -121,11 +122,13 @@ def _pairs_of(part, cell, moved, bins, first, second):
     for k in range(begin, end):
         i = np.int64(cell[k])
         a, count = np.int64(bins.place[i]), np.int64(0)
-        for row in range(ranges_near(bins, a, 0, ranges)):
-            for block in range(ranges[row, 0], ranges[row, 1], LANES):
-                count = collect(bins.cells, block, ranges[row, 1], a, hits, count)
-                if count > _FOUND + LANES:
-                    return -1
+        blocks = ranges_near(bins, a, 0, ranges)
+        row, block = np.int64(0), ranges[0, 0]
+        for _ in range(blocks):
+            count = collect(bins.cells, block, ranges[row, 1], a, hits, count)
+            if count > _FOUND + LANES:
+                return -1
+            row, block = next_block(ranges, row, block)
         if at + count > _FOUND * end:
             return -1
         for h in range(np.uint64(count)):
