@@ -41,8 +41,8 @@ class Bins(NamedTuple):
 
     - ``order``, (n,) int32: cells in the order of their bins
     - ``place``, (n,) int32: where each cell stands in that order
-    - ``cells``, (4, n + LANES), µm: centres and radii, half of the skin included, in that order: the
-      search reads them in a stream, some beyond the end
+    - ``cells``, (4, n + LANES), µm: centres and radii, half of the skin included, in that order;
+      the search reads them in a stream, some beyond the end
     - ``largest``, float, µm: the largest of these radii
     - ``low``, (3,), µm: dense: the corner of the grid
     - ``shape``, (3,) int64: dense: the number of bins along x, y and z; zeros where the bins are
@@ -306,9 +306,9 @@ def dense_bins(position, radius, skin, chunk):
 def ranges_near(bins, a, first, ranges):
     """Note the ranges of places that may hold neighbours of place ``a``; return how many blocks.
 
-    A block is of :data:`LANES` places. Of the nine rows of a dense grid next to its own those from ``first`` on; from the own row, 4,
-    on, only what comes later counts. Rows without any are written and overwritten: a branch would
-    mispredict.
+    A block is :data:`LANES` places. Of the nine rows of a dense grid round its own, those from
+    ``first`` on; where that is the own row, 4, only what comes later counts in it. Rows without any
+    are written and overwritten: a branch would mispredict.
 
     - ``ranges``, (10, 2) int64: the first place and the end of each
     """
@@ -366,13 +366,10 @@ def _close(context: Any, cells, begin, x, y, z, r):
     """
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        array = context.make_array(signature.args[0])(context, builder, values[0])
+        array, place = context.make_array(signature.args[0])(context, builder, values[0]), values[1]
         kind, row = ir.VectorType(ir.DoubleType(), LANES), builder.extract_value(array.shape, 1)
-        zeros, place, squares = (
-            ir.Constant(ir.VectorType(ir.IntType(32), LANES), None),
-            values[1],
-            [],
-        )
+        zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)
+        squares = []
         for axis, value in enumerate(values[2:]):
             one = builder.insert_element(kind(ir.Undefined), value, ir.IntType(32)(0))
             same = builder.shuffle_vector(one, kind(ir.Undefined), zeros)

@@ -20,6 +20,7 @@ from multicell.mechanics.neighbours.margins import next_margin
 _USED = (0.25, 0.5)  # of the square of a margin: a repair gives new ones to cells beyond
 FEW = 8  # a list is repaired where one cell in so many has drifted, or fewer
 _FOUND = 64  # pairs of a cell that a repair has room for
+_MOST = 576  # pairs of one cell, which may use the room of others
 _BOTH, _OWN = 6, 7  # sums of x r and r r, behind those of three components of x and of r
 _MARGIN = 3  # column of ``before`` behind a reference
 _PART = 256  # cells whose pairs one thread looks for at a time
@@ -117,7 +118,7 @@ def _pairs_of(part, cell, moved, bins, first, second):
     -1 without room: each of the cells has :data:`_FOUND` places.
     """
     begin, end = part * _PART, min((part + 1) * _PART, cell.size)
-    at, hits = np.int64(_FOUND * begin), np.empty(_FOUND + 2 * LANES, np.int32)
+    at, hits = np.int64(_FOUND * begin), np.empty(_MOST + 2 * LANES, np.int32)
     ranges = np.empty((10, 2), np.int64)
     for k in range(begin, end):
         i = np.int64(cell[k])
@@ -126,7 +127,7 @@ def _pairs_of(part, cell, moved, bins, first, second):
         row, block = np.int64(0), ranges[0, 0]
         for _ in range(blocks):
             count = collect(bins.cells, block, ranges[row, 1], a, hits, count)
-            if count > _FOUND + LANES:
+            if count > _MOST:
                 return -1
             row, block = next_block(ranges, row, block)
         if at + count > _FOUND * end:
