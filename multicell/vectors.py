@@ -43,10 +43,10 @@ def weighted_mean(values: FloatArray, weights: FloatArray) -> Any:
 
 def second_moments(vectors: FloatArray, weights: FloatArray) -> FloatArray:
     """Return the sum of w v vᵀ over vectors v (n, 3) with weights w (n,): (3, 3)."""
-    columns = np.ascontiguousarray(vectors.T)
-    row, column = np.triu_indices(3)
-    found = np.empty((3, 3))
-    found[row, column] = found[column, row] = (columns[row] * columns[column] * weights).sum(axis=1)
+    columns, found = np.ascontiguousarray(vectors.T), np.empty((3, 3))
+    for row, one in enumerate(columns):
+        for column, other in enumerate(columns[: row + 1]):
+            found[row, column] = found[column, row] = (one * other * weights).sum()
     return found
 
 

@@ -233,7 +233,8 @@ def deciding(cells: Cells, dt: float, reaction_time: float, ahead: float | None 
 
     ``ahead`` is the length of the next step, s; absent: as that of this one.
     """
-    shift = (cells.id + 1) * GOLDEN % 1.0
+    turns = (cells.id + 1) * GOLDEN
+    shift = turns - np.floor(turns)  # what % gives, in a tenth of its time
     now = np.floor((cells.age + 0.5 * (dt if ahead is None else ahead)) / reaction_time + shift)
     before = np.floor((cells.age - 0.5 * dt) / reaction_time + shift)
     return np.asarray((now > before) | (cells.age < dt))

@@ -7,10 +7,13 @@ proportional to cells and pairs.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from llvmlite import ir
+from numba import njit, prange, types
+from numba.extending import intrinsic
 
 from multicell.cells import FloatArray
 from multicell.compiling import INLINED, INNER
@@ -25,7 +28,7 @@ SLABS = 64
 SLICES = 4  # bins along x for each along y and z
 _LARGEST = 6  # column of ``extent`` behind both corners: the largest radius of a chunk
 _X, _Y, _Z = np.arange(3)  # axes; with literals each would have its own functions compiled
-SEARCHED = 512  # candidates that are tested in one go
+LANES = 8  # candidates that are tested at once
 
 
 class Bins(NamedTuple):
@@ -38,8 +41,8 @@ class Bins(NamedTuple):
 
     - ``order``, (n,) int32: cells in the order of their bins
     - ``place``, (n,) int32: where each cell stands in that order
-    - ``cells``, (n, 4), µm: centres and radii, half of the skin included, in that order: the search
-      reads them in a stream
+    - ``cells``, (4, n + LANES), µm: centres and radii, half of the skin included, in that order;
+      the search reads them in a stream, some beyond the end
     - ``largest``, float, µm: the largest of these radii
     - ``low``, (3,), µm: dense: the corner of the grid
     - ``shape``, (3,) int64: dense: the number of bins along x, y and z; zeros where the bins are
@@ -157,8 +160,8 @@ def _sort(s, shift, ends, by_slab, bin_of, position, radius, skin, start, place,
         start[b] += 1
         place[i], order[p] = p, i
         for a in range(3):
-            cells[p, a] = position[i, a]
-        cells[p, RADIUS] = radius[i] + 0.5 * skin
+            cells[a, p] = position[i, a]
+        cells[RADIUS, p] = radius[i] + 0.5 * skin
 
 
 @njit(**INNER)
@@ -235,13 +238,13 @@ def sparse_bins(position, radius, skin):
                 edge[count] = key[i]
                 count += 1
             number[sort, i] = count - 1
-    place, cells, line = np.empty(n, np.int32), np.empty((n, 4)), np.empty(n)
+    place, cells, line = np.empty(n, np.int32), np.empty((4, n + LANES)), np.empty(n)
     for k in range(n):
         i = order[k]
         place[i], line[k] = k, key[i]
         for a in range(3):
-            cells[k, a] = position[i, a]
-        cells[k, RADIUS] = radius[i] + 0.5 * skin
+            cells[a, k] = position[i, a]
+        cells[RADIUS, k] = radius[i] + 0.5 * skin
     ranges = np.zeros((n, 5, 2), np.int64)
     for i in range(n):
         x = number[0, i]
@@ -278,7 +281,7 @@ def dense_bins(position, radius, skin, chunk):
     _place_slabs(at)
     for c in prange(dense):
         _part(c, chunk, bin_of, shift, at, by_slab)
-    place, order, cells = np.empty(n, np.int32), np.empty(n, np.int32), np.empty((n, 4))
+    place, order, cells = np.empty(n, np.int32), np.empty(n, np.int32), np.empty((4, n + LANES))
     start = np.empty(bins + 1, np.int32)
     start[0] = 0
     for s in prange(slabs):
@@ -300,41 +303,99 @@ def dense_bins(position, radius, skin, chunk):
 
 
 @njit(**INLINED)
-def row_of(bins, a):
-    """Return the row of place ``a`` in a dense grid, its bins along y and z."""
-    if bins.shape[0] == 0:
-        return 0, 0
-    iy = _bin_along(bins.cells[a, 1], _Y, bins.largest, bins.low, bins.shape)
-    return iy, _bin_along(bins.cells[a, 2], _Z, bins.largest, bins.low, bins.shape)
+def ranges_near(bins, a, first, ranges):
+    """Note the ranges of places that may hold neighbours of place ``a``; return how many blocks.
+
+    A block is :data:`LANES` places. Of the nine rows of a dense grid round its own, those from
+    ``first`` on; where that is the own row, 4, only what comes later counts in it. Rows without any
+    are written and overwritten: a branch would mispredict.
+
+    - ``ranges``, (10, 2) int64: the first place and the end of each
+    """
+    cells, start, shape, low = bins.cells, bins.start, bins.shape, bins.low
+    width, scale = 2.0 * bins.largest, 0.5 * SLICES / bins.largest
+    iy = _bin_along(cells[1, a], _Y, bins.largest, low, shape)
+    iz = _bin_along(cells[2, a], _Z, bins.largest, low, shape)
+    reach, count, blocks = cells[RADIUS, a] + bins.largest, np.int64(0), np.int64(0)
+    x, y, z = cells[0, a] - low[0], cells[1, a] - low[1], cells[2, a] - low[2]
+    for row in range(first, 9):
+        dy, dz = row % 3 - 1, row // 3 - 1
+        v, w = iy + dy, iz + dz
+        beside = 0.0 if dy == 0 else y - (iy + max(dy, 0)) * width
+        above = 0.0 if dz == 0 else z - (iz + max(dz, 0)) * width
+        # wider by a millionth, so that rounding loses no pair
+        rest = reach * reach * 1.000001 - beside * beside - above * above
+        inside = (v >= 0) & (v < shape[1]) & (w >= 0) & (w < shape[2]) & (rest > 0.0)
+        line = (w * shape[1] + v) * shape[0] if inside else np.int64(0)
+        half = math.sqrt(max(rest, 0.0))
+        left, right = np.int64((x - half) * scale), np.int64((x + half) * scale)
+        begin = np.int64(start[np.uint64(line + max(left, 0))])
+        begin = a + 1 if row == first and first == 4 else begin
+        end = np.int64(start[np.uint64(line + min(right, shape[0] - 1) + 1)])
+        ranges[count, 0], ranges[count, 1] = begin, end
+        some = np.int64(inside & (begin < end))
+        count += some
+        blocks += some * ((end - begin + LANES - 1) // LANES)
+    return blocks
 
 
 @njit(**INLINED)
-def range_of(neighbour, line, start, slices, x, half, scale, place):
-    """Return the range of places to look through in one row of a dense grid.
-
-    ``line`` is the first of the row's bins, ``x ± half``, µm from the grid's end, what is looked
-    for there. In a cell's own row only what comes later counts.
-    """
-    high = min(np.int64((x + half) * scale), slices - 1)
-    end = np.int64(start[np.uint64(line + high + 1)])
-    if neighbour == 0:
-        return place + 1, end
-    return np.int64(start[np.uint64(line + max(np.int64((x - half) * scale), 0))]), end
+def ranges_found(found, ranges):
+    """Note the ranges of sparse bins that are not empty; return how many blocks they have."""
+    count, blocks = np.int64(0), np.int64(0)
+    for row in range(found.shape[0]):
+        begin, end = found[row, 0], found[row, 1]
+        ranges[count, 0], ranges[count, 1] = begin, end
+        if begin < end:
+            count, blocks = count + 1, blocks + (end - begin + LANES - 1) // LANES
+    return blocks
 
 
 @njit(**INLINED)
-def collect(cells, begin, end, a, hits, count):
-    """Append the places in ``begin:end`` that are close to place ``a``; return how many there are.
+def next_block(ranges, part, block):
+    """Return the range and the place where the next block begins."""
+    over, block = block + LANES >= ranges[part, 1], block + LANES
+    return part + np.int64(over), ranges[part + 1, 0] if over else block
 
-    The write is unconditional and only the count depends on the test: one cell in three is
-    close, which a branch would mispredict.
+
+@intrinsic
+def _close(context: Any, cells, begin, x, y, z, r):
+    """Return as bits which of the :data:`LANES` candidates from ``begin`` on are close.
+
+    The compiler does not find by itself that these can be tested at once.
     """
-    x, y, z, r = cells[a, 0], cells[a, 1], cells[a, 2], cells[a, RADIUS]
-    for b in range(np.uint64(begin), np.uint64(end)):
-        dx = cells[b, 0] - x
-        dy = cells[b, 1] - y
-        dz = cells[b, 2] - z
-        reach = r + cells[b, RADIUS]
-        hits[np.uint64(count)] = b
-        count += np.int64(dx * dx + dy * dy + dz * dz <= reach * reach)
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        array, place = context.make_array(signature.args[0])(context, builder, values[0]), values[1]
+        kind, row = ir.VectorType(ir.DoubleType(), LANES), builder.extract_value(array.shape, 1)
+        zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)
+        squares = []
+        for axis, value in enumerate(values[2:]):
+            one = builder.insert_element(kind(ir.Undefined), value, ir.IntType(32)(0))
+            same = builder.shuffle_vector(one, kind(ir.Undefined), zeros)
+            at = builder.bitcast(builder.gep(array.data, [place]), kind.as_pointer())
+            join = builder.fadd if axis == RADIUS else builder.fsub
+            part = join(builder.load(at, align=8), same)
+            squares.append(builder.fmul(part, part))
+            place = builder.add(place, row)
+        apart = builder.fadd(builder.fadd(squares[0], squares[1]), squares[2])
+        bits = builder.bitcast(builder.fcmp_ordered("<=", apart, squares[3]), ir.IntType(LANES))
+        return builder.zext(bits, ir.IntType(64))
+
+    return types.int64(cells, types.int64, *[types.float64] * 4), generate
+
+
+@njit(**INLINED)
+def collect(cells, block, end, a, hits, count):
+    """Append the places from ``block`` on that are close to place ``a``; return how many there are.
+
+    :data:`LANES` candidates are tested at once, also beyond the end, where nothing counts. The
+    writes are unconditional and only the count depends on the tests: one cell in three is close,
+    which a branch would mispredict.
+    """
+    close = _close(cells, block, cells[0, a], cells[1, a], cells[2, a], cells[RADIUS, a])
+    close &= (np.int64(1) << min(end - block, LANES)) - np.int64(1)
+    for k in range(LANES):
+        hits[np.uint64(count)] = block + k
+        count += (close >> k) & np.int64(1)
     return count

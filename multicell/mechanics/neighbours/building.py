@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit, prange
 
@@ -11,19 +9,20 @@ from multicell.cells import FloatArray
 from multicell.compiling import INNER
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.neighbours.bins import (
-    SEARCHED,
+    LANES,
     SLABS,
-    SLICES,
     Bins,
     collect,
     dense_bins,
-    range_of,
-    row_of,
+    next_block,
+    ranges_found,
+    ranges_near,
     sparse_bins,
 )
 from multicell.mechanics.neighbours.pair_list import CHUNK, IndexArray, PairList
 
 _SPARE_PAIRS = 4_000_000  # beyond 500 for each cell: more is no tissue, and fills the memory
+_HITS = 512  # neighbours of a cell that are noted in one go
 
 
 class TooManyPairsError(Exception):
@@ -114,44 +113,21 @@ def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
     at, stop = np.empty(2, np.int64), np.empty(2, np.int64)
     at[0], stop[0] = base[c], base[c] + room[c, 0]
     at[1], stop[1] = stop[0], stop[0] + room[c, 1]
-    hits = np.empty(2 * SEARCHED, np.int32)
-    cells, start, shape, low = bins.cells, bins.start, bins.shape, bins.low
-    width, scale, dense = 2.0 * bins.largest, 0.5 * SLICES / bins.largest, shape[0] > 0
+    hits, ranges = np.empty(_HITS + LANES, np.int32), np.empty((10, 2), np.int64)
     for i in range(np.uint64(own[0]), np.uint64(own[1])):
         # a typed zero: a bare one would have the functions below compiled twice
         a, count = np.int64(bins.place[i]), np.int64(0)
-        reach = cells[a, 3] + bins.largest
-        iy, iz = row_of(bins, a)
-        for neighbour in range(5):
-            if dense:
-                dy, dz = (neighbour + 4) % 3 - 1, (neighbour + 4) // 3 - 1
-                v, w = iy + dy, iz + dz
-                if v < 0 or v >= shape[1] or w >= shape[2]:
-                    continue
-                y, z = cells[a, 1] - low[1], cells[a, 2] - low[2]
-                y = 0.0 if dy == 0 else y - (iy + max(dy, 0)) * width
-                z = 0.0 if dz == 0 else z - w * width
-                # wider by a millionth, so that rounding loses no pair
-                rest = reach * reach * 1.000001 - y * y - z * z
-                if rest <= 0.0:
-                    continue
-                begin, end = range_of(
-                    neighbour,
-                    (w * shape[1] + v) * shape[0],
-                    start,
-                    shape[0],
-                    cells[a, 0] - low[0],
-                    math.sqrt(rest),
-                    scale,
-                    a,
-                )
-            else:
-                begin, end = bins.ranges[i, neighbour, 0], bins.ranges[i, neighbour, 1]
-            for block in range(begin, end, SEARCHED):
-                if count > SEARCHED:
-                    _note(i, own, bins.order, hits, count, at, stop, first, second)
-                    count = np.int64(0)
-                count = collect(cells, block, min(block + SEARCHED, end), a, hits, count)
+        if bins.shape[0] > 0:
+            blocks = ranges_near(bins, a, 4, ranges)
+        else:
+            blocks = ranges_found(bins.ranges[i], ranges)
+        part, block = np.int64(0), ranges[0, 0]
+        for _ in range(blocks):
+            if count > _HITS - LANES:
+                _note(i, own, bins.order, hits, count, at, stop, first, second)
+                count = np.int64(0)
+            count = collect(bins.cells, block, ranges[part, 1], a, hits, count)
+            part, block = next_block(ranges, part, block)
         _note(i, own, bins.order, hits, count, at, stop, first, second)
         if at[0] - base[c] + at[1] - stop[0] > limit:
             break

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit, prange
 
 from multicell.compiling import INNER
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.neighbours.bins import (
-    SEARCHED,
+    LANES,
     SLABS,
-    SLICES,
     collect,
     dense_bins,
-    range_of,
-    row_of,
+    next_block,
+    ranges_near,
 )
 from multicell.mechanics.neighbours.margins import next_margin
 
 _USED = (0.25, 0.5)  # of the square of a margin: a repair gives new ones to cells beyond
 FEW = 8  # a list is repaired where one cell in so many has drifted, or fewer
 _FOUND = 64  # pairs of a cell that a repair has room for
+_MOST = 576  # pairs of one cell, which may use the room of others
 _BOTH, _OWN = 6, 7  # sums of x r and r r, behind those of three components of x and of r
 _MARGIN = 3  # column of ``before`` behind a reference
 _PART = 256  # cells whose pairs one thread looks for at a time
@@ -119,40 +117,19 @@ def _pairs_of(part, cell, moved, bins, first, second):
 
     -1 without room: each of the cells has :data:`_FOUND` places.
     """
-    cells, shape, low = bins.cells, bins.shape, bins.low
     begin, end = part * _PART, min((part + 1) * _PART, cell.size)
-    at, hits = np.int64(_FOUND * begin), np.empty(_FOUND + 2 * SEARCHED, np.int32)
-    width, scale = 2.0 * bins.largest, 0.5 * SLICES / bins.largest
+    at, hits = np.int64(_FOUND * begin), np.empty(_MOST + 2 * LANES, np.int32)
+    ranges = np.empty((10, 2), np.int64)
     for k in range(begin, end):
         i = np.int64(cell[k])
         a, count = np.int64(bins.place[i]), np.int64(0)
-        reach = cells[a, 3] + bins.largest
-        iy, iz = row_of(bins, a)
-        for neighbour in range(9):
-            dy, dz = neighbour % 3 - 1, neighbour // 3 - 1
-            v, w = iy + dy, iz + dz
-            if v < 0 or v >= shape[1] or w < 0 or w >= shape[2]:
-                continue
-            y, z = cells[a, 1] - low[1], cells[a, 2] - low[2]
-            y = 0.0 if dy == 0 else y - (iy + max(dy, 0)) * width
-            z = 0.0 if dz == 0 else z - (iz + max(dz, 0)) * width
-            rest = reach * reach * 1.000001 - y * y - z * z
-            if rest <= 0.0:
-                continue
-            from_, to = range_of(
-                1,
-                (w * shape[1] + v) * shape[0],
-                bins.start,
-                shape[0],
-                cells[a, 0] - low[0],
-                math.sqrt(rest),
-                scale,
-                a,
-            )
-            for block in range(from_, to, SEARCHED):
-                count = collect(cells, block, min(block + SEARCHED, to), a, hits, count)
-                if count > _FOUND + SEARCHED:
-                    return -1
+        blocks = ranges_near(bins, a, 0, ranges)
+        row, block = np.int64(0), ranges[0, 0]
+        for _ in range(blocks):
+            count = collect(bins.cells, block, ranges[row, 1], a, hits, count)
+            if count > _MOST:
+                return -1
+            row, block = next_block(ranges, row, block)
         if at + count > _FOUND * end:
             return -1
         for h in range(np.uint64(count)):
