@@ -317,7 +317,7 @@ def rows_before(began: Cells, cells: Cells) -> IntArray:
 def rows_by_id(known: IntArray, ids: IntArray) -> IntArray:
     """Return the place among ``known`` identities of each of ``ids``; -1 where it is not there.
 
-    - ``known``, (n,): identities, none twice
+    - ``known``, (n,): identities; of one that is there twice either place may be found
     - ``ids``, of any shape
     """
     if ids is known:  # as in all steps without divisions

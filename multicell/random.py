@@ -24,6 +24,7 @@ from multicell.errors import SceneError
 UIntArray = NDArray[np.uint64]
 
 _WORD = 2**64  # values of a random word
+_SPARE = np.uint64(11)  # bits of a word that a number has no room for
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # golden section: its multiples spread evenly over 0 ... 1
 
 
@@ -114,17 +115,17 @@ def uniform(
     if not 0 <= seed < _WORD:
         raise SceneError("seed", f"is {seed}, must be a whole number from 0 to 2**64 - 1")
     first = event if isinstance(event, int) else int(np.min(event, initial=0))
-    if min(first, count, attempt) < 0 or ids.min(initial=0) < 0:
+    if min(first, count, attempt) < 0 or np.count_nonzero(ids < 0):
         raise ValueError("event, count, attempt and cell ids must not be negative")
     blocks = -(-count // 4)
     counter = np.empty((4, len(ids), blocks), dtype=np.uint64)
-    counter[0] = np.arange(blocks, dtype=np.uint64)
+    counter[0] = 0 if blocks == 1 else np.arange(blocks, dtype=np.uint64)
     counter[1] = event if isinstance(event, int) else np.reshape(event, (-1, 1))
     counter[2] = ids[:, None]
     counter[3] = attempt
     words = philox(counter, (seed, int(purpose))).transpose(1, 2, 0)
-    bits = words.reshape(len(ids), 4 * blocks)[:, :count] >> np.uint64(11)
-    return np.ascontiguousarray(bits.astype(np.float64) * 2.0**-53)
+    bits = words.reshape(len(ids), 4 * blocks)[:, :count] >> _SPARE
+    return np.asarray(bits * 2.0**-53)
 
 
 def normal(
@@ -144,6 +145,8 @@ def normal(
     # 1 - u lies in (0, 1]: its logarithm is finite
     length = np.sqrt(-2.0 * np.log(1.0 - u[:, :pairs]))
     angle = 2.0 * np.pi * u[:, pairs:]
+    if count == 1:
+        return np.asarray(length * np.cos(angle))
     both = np.concatenate([length * np.cos(angle), length * np.sin(angle)], axis=1)
     return np.ascontiguousarray(both[:, :count])
 
@@ -181,8 +184,10 @@ def directions(
     """
     u = uniform(seed, purpose, event, ids, dimensions - 1)
     azimuth = 2.0 * np.pi * u[:, -1]
-    if dimensions == 2:
-        return np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(len(azimuth))], axis=1)
-    height = 2.0 * u[:, 0] - 1.0
-    waist = np.sqrt((1.0 - height) * (1.0 + height))
-    return np.stack([waist * np.cos(azimuth), waist * np.sin(azimuth), height], axis=1)
+    found = np.zeros((len(azimuth), 3))
+    found[:, 0], found[:, 1] = np.cos(azimuth), np.sin(azimuth)
+    if dimensions == 3:
+        height = 2.0 * u[:, 0] - 1.0
+        found[:, :2] *= np.sqrt((1.0 - height) * (1.0 + height))[:, None]
+        found[:, 2] = height
+    return found

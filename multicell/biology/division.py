@@ -29,6 +29,7 @@ from multicell.cells import (
     State,
 )
 from multicell.random import Purpose
+from multicell.vectors import cubes
 
 if TYPE_CHECKING:
     from multicell.behaviours.growth_laws.laws import GrowthLaw
@@ -119,45 +120,46 @@ def divide(
         ripe |= ~np.isnan(since)
     if not np.count_nonzero(ripe) or not np.count_nonzero(ripe := ripe & (cells.doomed != 1)):
         return cells, next_id
-    mothers = cells.take(ripe)
-    rate = np.broadcast_to(factor, len(cells))[ripe]
-    waited, volume = _waited(plan, mothers, dt * rate)
+    (rows,) = ripe.nonzero()
+    rate = factor[rows] if isinstance(factor, np.ndarray) else np.full(len(rows), factor)
+    waited, volume = _waited(plan, cells, rows, dt * rate)
     age = np.maximum(waited, 0.0)
     if not plan.phased or plan.grows[Phase.G1]:
         age = np.divide(age, rate, out=np.zeros(len(age)), where=rate > 0.0)
     if since is not None:
-        age = np.where(np.isnan(since[ripe]), age, since[ripe])
-    order = np.lexsort((mothers.id, -age))
-    if len(order) > 1:
-        mothers, waited, volume = mothers.take(order), waited[order], volume[order]
-    ids = np.arange(next_id, next_id + 2 * len(mothers), dtype=np.int64)
+        age = np.where(np.isnan(since[rows]), age, since[rows])
+    order = np.repeat(np.lexsort((cells.id[rows], -age)), 2)
+    mother = rows[order]
+    ids = np.arange(next_id, next_id + len(mother), dtype=np.int64)
     chances = [
-        None if of_all is None else np.repeat(of_all[ripe][order], 2, axis=0)
+        None if of_all is None else of_all[mother]
         for of_all in _chances_at_birth(plan, signals, cells)
     ]
-    daughters = _daughters(plan, mothers, ids, chances)
-    daughters.age = np.repeat(age[order], 2)
+    daughters = _daughters(plan, cells.take(mother), ids, chances)
+    daughters.age = age[order]
     if plan.waits[Phase.G1]:
         daughters.progress = daughters.age.copy()
     if not plan.phased:
-        _grow_since(plan, daughters, np.repeat(volume, 2), np.repeat(waited, 2))
+        _grow_since(plan, daughters, volume[order], waited[order])
     return cells.replaced(~ripe, daughters, share), int(ids[-1]) + 1
 
 
 def _waited(
-    plan: BiologyPlan, mothers: Cells, longest: FloatArray
+    plan: BiologyPlan, cells: Cells, rows: IntArray, longest: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return how long mothers have grown beyond their division, and their volumes then.
 
+    - ``rows``, (n,): of the mothers among the cells
     - ``longest``, (n,) s: no mother has waited for longer
 
     Returns (n,) s of unlimited growth; (n,) µm³.
     """
+    volume = SPHERE * cubes(cells.radius[rows])
     if plan.phased:
-        return mothers.progress - mothers.phase_length, mothers.volume
+        return cells.progress[rows] - cells.phase_length[rows], volume
     assert plan.law is not None
-    birth, cycle, volume = plan.birth_volumes(mothers.kind), mothers.cycle_time, mothers.volume
-    due = np.full(len(mothers), plan.division_volumes(mothers.kind))
+    kind, cycle = cells.kind[rows], cells.cycle_time[rows]
+    birth, due = plan.birth_volumes(kind), np.full(len(rows), plan.division_volumes(kind))
     # what exceeds that was there before the step: a table said so
     most = np.minimum(volume, plan.law.volume_after(due, longest / cycle, birth))
     shares = plan.law.share_at(most / birth) - plan.law.share_at(due / birth)
@@ -166,17 +168,18 @@ def _waited(
 
 def _daughters(
     plan: BiologyPlan,
-    mothers: Cells,
+    daughters: Cells,
     ids: IntArray,
     chances: BirthChances,
 ) -> Cells:
-    """Return two daughters for each of the ``mothers``, side by side, named ``ids``.
+    """Return two daughters for each mother, side by side, named ``ids``.
 
-    ``chances`` are those of the daughters to be of each type.
+    - ``daughters``: copies of the mothers, two of each side by side, which become the daughters
+    - ``chances``: of the daughters to be of each type
     """
-    axis = random.directions(plan.seed, Purpose.AXIS, 0, mothers.id, plan.dimensions)
-    offset = (mothers.radius * (1.0 - HALF))[:, None] * axis
-    daughters = mothers.take(np.repeat(np.arange(len(mothers)), 2))
+    mothers, width = daughters.id[0::2], daughters.radius[0::2]
+    axis = random.directions(plan.seed, Purpose.AXIS, 0, mothers, plan.dimensions)
+    offset = (width * (1.0 - HALF))[:, None] * axis
     daughters.position[0::2] += offset
     daughters.position[1::2] -= offset
     daughters.parent = daughters.id

@@ -295,9 +295,10 @@ def necrotic(
     if any(math.isinf(response.effect.high) for response in known):
         hazard = rate_of_harm(plan, "necrosis rate", signals, cells)
         now = np.zeros(len(cells), dtype=np.bool_) if hazard is None else np.isinf(hazard)
-        some = ~cells.dead if exposure is not None and exposure.inner else now & ~cells.dead
-        (rows,) = some.nonzero()
-        if rows.size:
+        rows = np.flatnonzero(now)
+        if exposure is not None and exposure.inner:
+            rows = np.arange(len(cells))
+        if rows.size and (rows := rows[~cells.dead[rows]]).size:
             first = np.full(len(rows), np.inf)
             if exposure is not None:
                 first = exposure[rows].first_infinite(

@@ -218,7 +218,7 @@ class PairLaw(ABC):
             return function.whole(overlap, modulus, radius, constants, *own)
 
         arrays = [overlap, modulus, radius, *(further[name] for name in function.further)]
-        if not any(map(np.ndim, arrays)):  # of one pair: the machinery costs tenfold
+        if {*map(type, arrays)} == {float}:  # of one pair: the machinery costs tenfold
             force, stiffness, energy = one(*map(float, arrays))
         else:
             columns = [np.asarray(column, dtype=float) for column in arrays]

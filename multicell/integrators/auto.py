@@ -151,9 +151,9 @@ class Auto(ErrorControl):
             choice = self.choose(system, position)
         patience = 0 if again else self._patience(choice, len(system))
         taught, spent = choice.step, 0.0
-        total = _passes(work)
+        total = before = _passes(work)
         for name in _in_turn(choice.method, system):
-            before, taken = _passes(work), work.steps
+            taken = work.steps
             outcome = self.method(name, choice.part(name), patience).integrate(system, position)
             _count(system, name, taken)
             if taught is not None:
@@ -167,6 +167,7 @@ class Auto(ErrorControl):
                 known = known.counted(number, passes, expected, implicit=implicit)
             if outcome.done:
                 break
+            before = _passes(work)
         if not again:
             step, speed, length = choice.step, known.speed, motion.end - motion.begin
             hold = known.hold - 1.0 if held else choice.hold

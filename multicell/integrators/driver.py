@@ -46,9 +46,14 @@ def needs_python(system: Mechanics) -> bool:
     not load. The loops
     are the same then, uncompiled around compiled arithmetic.
     """
-    optional = (system.walls, system.prescribed, system.compression, system.period)
-    in_python = max(system.friction) > 0.0 or any(x is not None for x in optional)
-    return system.has_pair_values or in_python
+    return (
+        system.has_pair_values
+        or system.walls is not None
+        or system.prescribed is not None
+        or system.compression is not None
+        or system.period is not None
+        or max(system.friction) > 0.0
+    )
 
 
 def control(method: ErrorControl, system: Mechanics, order: float, lower: int) -> stepping.Control:

@@ -256,8 +256,9 @@ def with_addresses(
     - ``watched``: whether it looks for contacts that its steps miss
     """
     repairs = len(source.reach) >= updating.REPAIR_FROM
-    # the rest of a source is of one kind: counts and addresses
-    key = kind_of((source[:5], pairs, law)), shared, passes, parts, watched, repairs
+    # the rest of a source is of one kind, and so are the law's values; a law is of floats and None
+    kinds = kind_of(source.cells), kind_of(source[2:5]), kind_of(pairs), type(law), *map(type, law)
+    key = kinds, shared, passes, parts, watched, repairs
     if key not in _PLACES:
         used = stepping_kernels(source, pairs, law, shared=shared, passes=passes)
         if parts:

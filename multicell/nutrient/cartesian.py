@@ -252,7 +252,7 @@ def _refuse_too_large(nodes: Sequence[float], size: Sequence[float], spacing: fl
 
 
 def _refuse_too_far(ends: Iterable[tuple[float, float]], spacing: float) -> None:
-    farthest = max(abs(end) for both in ends for end in both)
+    farthest = max(max(-low, high) for low, high in ends)
     if farthest > _FARTHEST * spacing:
         raise NutrientFailed(
             f"a cell is {farthest:.3g} um away from the origin, where a grid with a spacing of "

@@ -105,12 +105,33 @@ class Diffusion:
         """Take other conditions on the faces."""
         if not isinstance(boundary, Mapping):
             boundary = {face: {"value": boundary} for face in _FACES}
+        self._boundary = boundary
         found = [ghost_terms(boundary[f], self.spacing) for f in _FACES[: 2 * self.dimensions]]
         for axis in range(self.dimensions):
             if self._repeats[axis]:
                 found[2 * axis] = found[2 * axis + 1] = (0.0, stencil.REPEATS)
+        self._has_slopes = any(factor == 1.0 for _, factor in found)
         self._sides = _sides(self.shape, *zip(*found, strict=True))
         self.ghost, self.const = self._sides.ghost, self._sides.const
+        self._take_stiffness()
+
+    def resized(self, box: Box, boundary: float | Mapping[str, Any]) -> Diffusion:
+        """Return it on a box of as many nodes, if the medium and the coefficient are uniform.
+
+        That is without ``varied`` and ``exchange``.
+        """
+        other = object.__new__(Diffusion)
+        vars(other).update(vars(self))
+        other.spacing, other.volumes = box.spacing, box.volume
+        other.stiffness = self.diffusion / box.spacing**2
+        if boundary is self._boundary and not self._has_slopes:
+            other._take_stiffness()  # what values at faces bring knows nothing of the spacing
+        else:
+            other.set_boundary(boundary)
+        return other
+
+    def _take_stiffness(self) -> None:
+        """Renew what goes in proportion to the rate of diffusion between nodes."""
         brought = self._sides.brought
         brought = _brought(self.shape, self.const) if brought is None else brought
         self.source = brought * self.stiffness

@@ -61,11 +61,14 @@ def drawn_in(position: FloatArray, radius: FloatArray) -> FloatArray:
     is twice as wide. Without strays it is the same array.
     """
     few = _few(len(position))
-    if few < 1.0 or not np.isfinite(position).all():
+    if few < 1.0:
         return position
     gap = _GAP * 2.0 * float(radius.max())
     last, first = _ends(position, few)
-    if max((last[1:] - last[:-1]).max(), (first[:-1] - first[1:]).max()) <= gap:
+    # no gap that wide is by what is not finite
+    if (last[1:] - last[:-1]).max() <= gap and (first[:-1] - first[1:]).max() <= gap:
+        return position
+    if not np.isfinite(position).all():
         return position
     low = -np.array([_outermost(x, gap, few) for x in -first.T])
     high = np.array([_outermost(x, gap, few) for x in last.T])

@@ -15,6 +15,8 @@ from multicell.cells import SPHERE, Cells, FloatArray, Mask, State
 from multicell.population.regions import Surroundings, inhibited_region, region_radius
 from multicell.vectors import cubes, lengths, squares, weighted_mean
 
+_GROWING, _RESTING = int(State.PROLIFERATING), int(State.QUIESCENT)  # numbers compare faster
+
 INHIBITED: Final = 0.2  # of the cycling part at the rim: the criterion of Browning et al. (2021)
 
 
@@ -47,28 +49,31 @@ class Extent:
     def __init__(self, cells: Cells, dimensions: int, origin: FloatArray | None = None) -> None:
         self._dimensions = dimensions
         self._weights = sizes(cells, dimensions)
-        self._squares, self.origin = np.empty(0), np.zeros(3)
+        self._squares, self._away, self.origin = np.empty(0), np.empty(0), np.zeros(3)
         self._cells, self._state, self._radii = cells, cells.state, cells.radius
         if len(cells):
             if origin is None:
                 origin = weighted_mean(cells.position, self._weights)
             share = dimensions / (dimensions + 2)
             self.origin = origin
-            self._squares = squares(cells.position - origin) + share * cells.radius**2
+            self._away = squares(cells.position - origin)
+            self._squares = self._away + share * cells.radius**2
 
     def radius(self, mask: Mask | None = None) -> float:
         """Return the :func:`uniform_radius` of all cells, or of those of a mask, µm; 0 of none."""
         if mask is None:
             return self._radius
-        taken = self._squares[mask]
-        if len(taken) == 0:
-            return 0.0
-        d = self._dimensions
-        return math.sqrt((d + 2) / d * weighted_mean(taken, self._weights[mask]))
+        return self._radius_of(self._squares[mask], self._weights[mask])
 
     @cached_property
     def _radius(self) -> float:
-        return self.radius(np.ones(len(self._radii), dtype=bool))
+        return self._radius_of(self._squares, self._weights)
+
+    def _radius_of(self, squares: FloatArray, weights: FloatArray) -> float:
+        if len(squares) == 0:
+            return 0.0
+        d = self._dimensions
+        return math.sqrt((d + 2) / d * weighted_mean(squares, weights))
 
     def diameter(self) -> float:
         """Return twice the radius of all cells, µm; 0 without cells."""
@@ -84,17 +89,17 @@ class Extent:
     @cached_property
     def _around(self) -> Surroundings:
         args = (self._radii, self.origin, self.radius(), self._dimensions)
-        return Surroundings(self._cells.position, *args)
+        return Surroundings(self._cells.position, *args, self._away)
 
     @cached_property
     def dead_core(self) -> float:
         """Radius of the core of dead cells and of what they left empty, µm; 0 without one."""
-        return self.core(self._state > State.QUIESCENT)
+        return self.core(self._state > _RESTING)
 
     @cached_property
     def resting_core(self) -> float:
         """Radius of the region in which most cells are dead or quiescent, µm; 0 without one."""
-        return self.core(self._state != State.PROLIFERATING)
+        return self.core(self._state != _GROWING)
 
     @cached_property
     def inhibited(self) -> float:

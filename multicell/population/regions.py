@@ -41,6 +41,7 @@ class Surroundings:
     - ``origin``, (3,) µm: the point
     - ``size``: radius of the whole tissue, µm
     - ``dimensions``: 3, or 2 where all cells lie in a plane
+    - ``away``, (n,) µm²: squares of the distances, where they are known
     """
 
     def __init__(
@@ -50,10 +51,11 @@ class Surroundings:
         origin: FloatArray,
         size: float,
         dimensions: int,
+        away: FloatArray | None = None,
     ) -> None:
         self.position, self.radius, self.origin = position, radius, origin
         self.size, self.dimensions = size, dimensions
-        self.squares = squares(position - origin)
+        self.squares = squares(position - origin) if away is None else away
 
     def about(self, origin: FloatArray) -> Surroundings:
         """Return the same cells about another point."""
@@ -78,6 +80,8 @@ class Surroundings:
     def may_be_hollow(self) -> bool:
         """Whether the nearest cells leave room for as many more as a region must have."""
         nearest = min(_NEAREST, len(self.squares))
+        if nearest < FEWEST:  # no more are expected than there are
+            return False
         near = np.sqrt(np.sort(np.partition(self.squares, nearest - 1)[:nearest]))
         return bool((self.expected(near) - 2.0 * np.arange(nearest) >= FEWEST).any())
 

@@ -87,11 +87,12 @@ class Lineage:
 
     def events(self, before: Cells, after: Cells, time: float) -> Lineage:
         """Return it with what changed between two populations: births, divisions and removals."""
-        new = np.flatnonzero(before.rows_of(after.id) < 0)
-        gone = np.flatnonzero(after.rows_of(before.id) < 0)
+        rows, there = after.rows_of(before.id), np.zeros(len(after) + 1, dtype=np.bool_)
+        there[rows] = True  # the last entry stands for those that are gone
+        new, gone = np.flatnonzero(~there[:-1]), np.flatnonzero(rows < 0)
         parent, ids = after.parent[new], before.id[gone]
         born = self._with("births", (after.id[new], parent, after.kind[new], time))
-        cause = np.where(rows_by_id(np.unique(parent), ids) < 0, before.state[gone], _DIVIDED)
+        cause = np.where(rows_by_id(parent, ids) < 0, before.state[gone], _DIVIDED)
         return born._with("ends", (ids, time, cause))
 
     def retyped(self, ids: IntArray, kinds: NDArray[np.int16]) -> Lineage:
@@ -170,7 +171,7 @@ class Lineage:
     def _with(self, log: str, values: tuple[NDArray[Any] | float, ...]) -> Lineage:
         """Return it with further rows of a log; the first column has one entry for each."""
         begin = self._lengths[log]
-        end = begin + len(np.atleast_1d(values[0]))
+        end = begin + np.size(values[0])
         if end == begin:
             return self
         return self._grown(log, self._logs[log].extended(begin, end, values), end)

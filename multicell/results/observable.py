@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from multicell.scene.parts import OwnObservable
     from multicell.scene.scene import Scene
 
+_STATES: Final = tuple(state.name.lower() for state in State)
+
 
 @final
 class TissueState:
@@ -83,7 +85,7 @@ class TissueState:
     def state_counts(self) -> Mapping[str, int]:
         """Number of cells in each state, by the name of the state in lower case."""
         counts = np.bincount(self.cells.state, minlength=len(State)).tolist()
-        return {state.name.lower(): counts[state] for state in State}
+        return dict(zip(_STATES, counts, strict=True))
 
     @cached_property
     def sealed(self) -> TissueState:

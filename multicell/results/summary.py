@@ -208,11 +208,13 @@ def _splitting(scene: Scene, cells: Cells) -> dict[str, float]:
     if scene.growth is None:
         return {}
     volume, living = cells.volume, ~cells.dead
-    scales = scene.growth.target_scales
-    scale = 1.0 if scales is None else scales[cells.phase]
+    scales, law = scene.growth.target_scales, scene.growth.growth_law
     birth = birth_volumes(scene, cells.kind)
-    rate = scale * scene.growth.growth_law.rate(volume / scale, birth)
-    rate /= cells.cycle_time
+    if scales is None:
+        rate = law.rate(volume, birth) / cells.cycle_time
+    else:
+        scale = scales[cells.phase]
+        rate = scale * law.rate(volume / scale, birth) / cells.cycle_time
     excess = np.where(living, -rate * cells.lag, 0.0)
     total, error = float(volume.sum()), float(excess.sum())
     return {

@@ -255,7 +255,9 @@ class Growth:
     @property
     def target_scales(self) -> FloatArray | None:
         """Of each phase, G0 first, (5,); None where all are 1."""
-        scales = [1.0, *(self.phases[name].target_scale for name in CYCLE_PHASES if self.phases)]
+        if not self.phases:
+            return None
+        scales = [1.0, *(self.phases[name].target_scale for name in CYCLE_PHASES)]
         return None if set(scales) == {1.0} else np.array(scales)
 
     @property

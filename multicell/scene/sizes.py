@@ -42,6 +42,8 @@ def mean_scale(scene: Scene) -> float:
 
 def birth_volumes(scene: Scene, kind: NDArray[np.integer]) -> float | FloatArray:
     """Return the volumes in µm³ with which cells of types are born, (n,) or one for all."""
+    if not scene.types:
+        return birth_volume(scene)
     scales = np.array(radius_scales(scene))
     return birth_volume(scene) * (1.0 if (scales == 1.0).all() else scales[kind] ** 3)
 

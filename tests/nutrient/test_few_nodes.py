@@ -105,3 +105,24 @@ def test_halves_are_the_transform_of_scipy(n, values):
     matrix[0, 0] += 1.0 if values else -1.0
     matrix[-1, -1] += 1.0 if values else -1.0
     np.testing.assert_allclose(np.sort(of), np.linalg.eigvalsh(matrix), atol=1e-13)
+
+
+@pytest.mark.parametrize("side", [{"value": 0.07}, {"derivative": 1e-3}], ids=["value", "slope"])
+def test_a_resized_operator_is_one_of_the_new_box(side):
+    """A run takes over what a shape of its grid has in common with the last one."""
+    faces = ("x-", "x+", "y-", "y+", "z-", "z+")
+    conditions = {face: side if face == "y+" else {"value": 0.05} for face in faces}
+    shape, at = (6, 7, 8), (0.0, 0.0, 0.0)
+    before = Diffusion(Box(at, shape, 10.0), D, conditions)
+    box, other = Box((1.0, 2.0, 3.0), shape, 9.3), {**conditions, "x-": {"value": 0.01}}
+    for sides in (conditions, other):
+        found, new = before.resized(box, sides), Diffusion(box, D, sides)
+        assert (found.stiffness, found.volumes) == (new.stiffness, new.volumes)
+        for name in ("ghost", "const", "source"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(new, name))
+        sink, start = np.full(shape, 1e-3), np.full(shape, 0.05)
+        one, two = (solve_steady(each, sink, 0.01, start)[0] for each in (found, new))
+        np.testing.assert_array_equal(one, two)
+    assert before.spacing == 10.0
+    again = Diffusion(Box(at, shape, 10.0), D, conditions)
+    np.testing.assert_array_equal(before.source, again.source)

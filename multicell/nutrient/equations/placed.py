@@ -157,17 +157,26 @@ class PlacedSubstance:
         varied = None if p.varied is None else np.asarray(p.varied, float).reshape(self.shape)
         conditions = self.conditions_at(level)
         operator: AnyOperator
+        before = getattr(self, "operator", None)
         if isinstance(layout, BoxLayout):
             exchange = self._exchange
             if exchange is not None:
                 exchange = np.asarray(exchange, float).reshape(self.shape)
-            operator = Diffusion(
-                layout.box, p.diffusion, conditions, varied=varied, exchange=exchange, level=level
-            )
-            operator.threads = self._threads
-            before = getattr(self, "operator", None)
-            if isinstance(before, Diffusion):
-                operator.room = before.room
+            known = before if isinstance(before, Diffusion) else None
+            if known is not None and known.shape == layout.shape and varied is exchange is None:
+                operator = known.resized(layout.box, conditions)
+                operator.level = level
+            else:
+                operator = Diffusion(
+                    layout.box,
+                    p.diffusion,
+                    conditions,
+                    varied=varied,
+                    exchange=exchange,
+                    level=level,
+                )
+                operator.threads = self._threads
+                operator.room = None if known is None else known.room
         else:
             operator = Shells(layout.radius, layout.count, p.diffusion, conditions, varied=varied)
         # at once: what is interrupted must not leave one beside the others
