@@ -36,10 +36,10 @@ def _end(code: object) -> None:
     """End the process without taking its modules apart, which takes as long as a step or two.
 
     What is registered for the end is done first. It is left to Python where threads run, somebody
-    profiles, or a stream cannot be written.
+    profiles or has more to type (``python -i``), or a stream cannot be written.
     """
-    watched = sys.getprofile() is not None or sys.gettrace() is not None
-    if not isinstance(code, int) or watched or threading.active_count() > 1:
+    more = sys.flags.interactive or threading.active_count() > 1
+    if not isinstance(code, int) or more or _is_watched():
         return
     atexit._run_exitfuncs()
     try:
@@ -48,6 +48,15 @@ def _end(code: object) -> None:
     except (OSError, ValueError):
         return
     os._exit(code)
+
+
+def _is_watched() -> bool:
+    """Return whether somebody profiles or traces, who has yet to write what has been found."""
+    if sys.getprofile() is not None or sys.gettrace() is not None:
+        return True
+    # from Python 3.12 on, where six tools may watch
+    tool = getattr(getattr(sys, "monitoring", None), "get_tool", None)
+    return tool is not None and any(tool(number) is not None for number in range(6))
 
 
 if __name__ == "__main__":

@@ -334,11 +334,11 @@ class Recorder:
         """Add a row to the history, and a frame if one is due."""
         with simulation.phase("record"):
             row = simulation.history_row()
-            self._last_row = simulation.step_index
             if self._store is None:
                 self._rows.append(row)
             else:
                 self._store.append_history(row)
+            self._last_row = simulation.step_index  # a row that an exception kept out is none
             if frame_due(simulation.time, self._next_frame) or simulation.finished:
                 self._frame(simulation)
             self._memory.now_and_then(len(simulation.state.cells))

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from forks import Patience
 from signals import listening
+from stored import assert_same_bits
 
 import multicell as mc
 from multicell.host import interrupts
@@ -29,6 +30,7 @@ from multicell.results import folder
 from multicell.results.documents import Lines, read_document
 from multicell.results.hdf5 import check_readable
 from multicell.results.reader import Contents
+from multicell.results.writer import Store
 from multicell.simulation import Simulation
 
 SCENE = mc.load_scene("growth").with_changes({"initial.count": 60, "duration": "9 d"})
@@ -610,3 +612,24 @@ def test_interrupts_at_any_moment_end_in_one_word(tmp_path, request):
         if not fine:
             found.append(told)
     assert found == [], json.dumps(found, indent=1, default=str)
+
+
+@pytest.mark.parametrize("count", [2, 3, 5])
+def test_a_row_that_is_cut_off_is_made_again(count, tmp_path, monkeypatch):
+    scene = SCENE.with_changes({"duration": "2 h", "output.every": "40 min"})
+    mc.run(scene, output=tmp_path / "whole", threads=1)
+    append, calls = Store.append_history, []
+
+    def pressed(self, row):
+        calls.append(row)
+        if len(calls) == count:
+            raise KeyboardInterrupt
+        append(self, row)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "append_history", pressed)
+        with contextlib.suppress(KeyboardInterrupt):  # what a second Ctrl-C in it leaves
+            mc.run(scene, output=tmp_path / "cut", threads=1)
+    assert len(calls) == count
+    mc.resume(tmp_path / "cut", threads=1)
+    assert_same_bits(tmp_path / "cut", tmp_path / "whole")

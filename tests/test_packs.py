@@ -22,6 +22,7 @@ from multicell.compiling import pack as packs
 from multicell.compiling.kernels import build_pack
 from multicell.compiling.numba_068 import processor
 from multicell.compiling.pack import PROCESSOR_LEVELS, Pack, setting
+from multicell.errors import ExitCode
 from multicell.host import closed
 
 LEVEL = "x86-64-v2" if platform.machine() == "x86_64" else "generic"
@@ -187,12 +188,13 @@ def test_a_pack_that_does_not_fit_says_why(made, change, said):
 
 
 def test_a_pack_without_an_account_of_itself_is_not_used(made, tmp_path):
-    for text in ("", "[]", "{}", '{"level": "x86-64-v9"}', "\x00", '{"files": 3}'):
+    for text in ("", "[]", "{}", '{"level": "x86-64-v9"}', "\x00", '{"files": 3}', 1000 * "["):
         made("generic", None)
         (tmp_path / "about.json").write_text(text)
         assert "about.json cannot be read" in Pack(str(tmp_path), processor()).refusal
     assert "cannot be read" in made("generic", None, files=[1]).refusal
-    assert "cannot be read" in made("generic", None, setting={}).refusal
+    for entries in ({"setting": {}}, {"for": []}, {"for": ["x"]}):
+        assert made("generic", None, **entries).refusal
 
 
 def test_a_pack_that_others_can_write_to_is_not_used(made, tmp_path):
@@ -232,3 +234,10 @@ def test_doctor_reports_a_pack_and_why_it_is_not_used(made, monkeypatch, change,
     assert "compiled pack" in CliRunner().invoke(main, ["doctor"]).stdout
     monkeypatch.setattr(numba_068, "installed_pack", lambda processor: None)
     assert "compiled pack" not in CliRunner().invoke(main, ["doctor"]).stdout
+
+
+def test_a_scene_that_is_not_there_ends_the_builder_as_the_command(tmp_path, capfd):
+    with pytest.raises(SystemExit) as ended:
+        build_pack(tmp_path, ["no-such-scene"], "generic")
+    assert ended.value.code == ExitCode.REFUSED
+    assert "no-such-scene" in capfd.readouterr().err

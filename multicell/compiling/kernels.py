@@ -52,7 +52,9 @@ def build_pack(
         run = [sys.executable, "-P", "-m", "multicell", "run", "--no-report", "--overwrite"]
         run += ["-o", f"{work}/out", *(part for change in changes for part in ("--set", change))]
         for scene, threads in product(scenes, sorted({1, os.cpu_count() or 1})):
-            subprocess.run([*run, "--threads", str(threads), scene], env=environment, check=True)
+            done = subprocess.run([*run, "--threads", str(threads), scene], env=environment)
+            if done.returncode:  # the command has said why
+                raise SystemExit(done.returncode)
         # numba's folders are called by rooms and digests of their paths
         found = {(x.parent.name.rpartition("_")[0], x.name): x for x in Path(code).glob("*/*.nb?")}
         files = {"/".join(name): file.read_bytes() for name, file in sorted(found.items())}

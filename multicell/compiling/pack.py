@@ -60,7 +60,14 @@ class Pack:
         self.folder, self.loaded, self.level = folder, 0, ""
         try:
             self.refusal = why_open(folder) or self._read(processor)
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        except (
+            OSError,
+            ValueError,
+            LookupError,
+            TypeError,
+            AttributeError,
+            RecursionError,
+        ) as error:
             self.refusal = f"about.json cannot be read ({error!r})"
 
     def _read(self, processor: Processor) -> str:

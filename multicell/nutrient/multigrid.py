@@ -202,7 +202,11 @@ class Hierarchy:
         self.levels[-1].solve()
         for level, coarse in reversed(self._pairs):
             level.correct(coarse)
-        return self.levels[0].x
+        finest = self.levels[0]
+        if not self._pairs:
+            for part, other in zip(finest.parts, (finest.b, finest.work[2]), strict=True):
+                np.sum(finest.x * other, axis=(1, 2), out=part)
+        return finest.x
 
 
 @final

@@ -72,7 +72,7 @@ def diagnostics(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         ends = (f"{steps[end] / 60.0:.3g}" for end in ("shortest", "longest"))
         wrong = 100.0 * summary["splitting"]["first_order_error"]
         more = f"; {steps['exceeded']:,} too long" if steps["exceeded"] else ""
-        yield "coupling steps", f"{' to '.join(ends)} min, for up to {wrong:.2g} % of volume{more}"
+        yield "coupling steps", f"{' to '.join(ends)} min, for about {wrong:.2g} % of volume{more}"
     effect = (summary.get("integrator") or {}).get("largest_shift_effect")
     if effect is not None:
         yield "effect of a shift of 0.01 µm", f"up to {effect:.2g} µm in a step"

@@ -315,8 +315,8 @@ class Scene:
         changed = {str(key).partition(".")[0] for key in changes}
         # the other parts are checked already; an unknown key is looked for in all
         entries = part_as_dict(self, changed if changed <= specs(Scene).keys() else None)
-        if "coupling_step" in changes and "coupling_tolerance" not in changes:
-            entries.pop("coupling_tolerance", None)  # one length for all, or that of 'auto'
+        if changes.get("coupling_step", "auto") != "auto" and "coupling_tolerance" not in changes:
+            entries.pop("coupling_tolerance", None)  # one length for all
         for key, value in changes.items():
             check_dotted(key)
             if "." not in key and key not in specs(Scene) and (hint := _meant(self, key)):

@@ -130,9 +130,10 @@ def run_study(
         wanted = own_cores() if scheduler is None and cores is None else cores
         most = None if wanted is None else min(wanted, len(ordered))
         here = scheduler is None and most == 1 and short
-        plain = (run.scene if here else PlainScene.of(run.scene) for run in ordered)
+        # what no worker could be given is refused here too
+        plain = [PlainScene.of(run.scene) for run in ordered]
         tasks = [
-            Task(run.name, str(folder), scene, retry)
+            Task(run.name, str(folder), run.scene if here else scene, retry)
             for run, scene in zip(ordered, plain, strict=True)
         ]
         try:

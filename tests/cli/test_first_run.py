@@ -12,6 +12,7 @@ import pytest
 from numba import njit
 
 import multicell as mc
+from multicell import __main__ as entry
 from multicell.cli import progress
 from multicell.cli.progress import _Clock, fitting, reporter
 from multicell.compiling import COMPILATION
@@ -333,3 +334,14 @@ def test_at_least_one_part_is_shown_whatever_the_width():
     assert fitting(["first", "second"], 3) == "first"
     assert fitting(["first", "second"], 14) == "first · second"
     assert fitting(["first", "second", "x"], 14) == "first · second"
+
+
+def test_a_command_leaves_its_end_to_who_watches_it(tmp_path, monkeypatch):
+    arguments = ["-m", "cProfile", "-o", "profile", "-m", "multicell", "scenes"]
+    subprocess.run([sys.executable, *arguments], cwd=tmp_path, check=True, capture_output=True)
+    assert (tmp_path / "profile").stat().st_size > 10_000
+    assert not entry._is_watched()
+    # of Python 3.12 and later, where profilers are not what sys.getprofile() returns
+    tools = SimpleNamespace(get_tool=lambda number: "cProfile" if number == 2 else None)
+    monkeypatch.setattr(sys, "monitoring", tools, raising=False)
+    assert entry._is_watched()

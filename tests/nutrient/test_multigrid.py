@@ -14,6 +14,7 @@ from multicell.compiling.threads import Team
 from multicell.nutrient import cartesian, steady, stencil
 from multicell.nutrient.balls import gather
 from multicell.nutrient.cartesian import Box, mesh, moved
+from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.multigrid import Hierarchy, MultigridSolver
 from multicell.nutrient.steady import solve_steady
 
@@ -197,6 +198,10 @@ def test_one_node_is_solved_exactly():
     level = hierarchy.levels[0]
     level.rate[:], level.b[:] = 0.5, 3.0
     assert hierarchy.cycle()[0, 0, 0] == pytest.approx(3.0 / (2.0 + 0.5))
+    op = Diffusion(Box((0.0, 0.0, 0.0), (1, 1, 1), 10.0), D, 0.5)
+    rate = np.full(op.shape, 7.0)  # and a face with a value brings twice the coefficient
+    found = MultigridSolver(op, Team()).solve(rate, np.full(op.shape, 3.0), 3.0, 1e-6)
+    assert found[0, 0, 0] == pytest.approx(3.0 / (12.0 * op.stiffness + 7.0), rel=1e-6)
 
 
 def test_the_imbalance_by_planes_is_that_of_all_nodes():

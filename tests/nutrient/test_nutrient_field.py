@@ -11,6 +11,7 @@ from plain_pde import uncompiled
 
 from multicell.errors import MulticellError, NutrientFailed, SceneError
 from multicell.nutrient.cartesian import extent, lay
+from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.equations.grid import grid_on
 from multicell.nutrient.field import NutrientField
 from multicell.nutrient.parameters import FieldParameters
@@ -231,7 +232,9 @@ def test_a_field_that_goes_on_is_as_one_made_anew_from_its_values(geometry, regi
         np.testing.assert_array_equal(field.read(field.group.position), anew.sample(place))
 
 
-def test_a_grid_whose_laying_was_cut_short_is_laid_again(monkeypatch):
+# a box of other nodes gets an operator of its own, one of as many that of before, resized
+@pytest.mark.parametrize(("way", "further"), [("__init__", 1.6), ("resized", 1.02)])
+def test_a_grid_whose_laying_was_cut_short_is_laid_again(way, further, monkeypatch):
     position, capacity = ball(30.0)
     field, plain = oxygen(), oxygen()
     for each in (field, plain):
@@ -241,11 +244,11 @@ def test_a_grid_whose_laying_was_cut_short_is_laid_again(monkeypatch):
     def cut(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("multicell.nutrient.equations.placed.Diffusion", cut)
+    monkeypatch.setattr(Diffusion, way, cut)
     with pytest.raises(KeyboardInterrupt):
-        field.solve(1.1 * position, capacity)
+        field.solve(further * position, capacity)
     monkeypatch.undo()
     field.solution = kept
     for each in (field, plain):
-        each.solve(1.1 * position, capacity)
+        each.solve(further * position, capacity)
     np.testing.assert_array_equal(field.values, plain.values)

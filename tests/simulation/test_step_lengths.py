@@ -324,6 +324,8 @@ def test_the_word_stands_for_two_keys():
     finer = scene.with_changes(coupling_tolerance=3e-4)
     assert (finer.coupling_step, finer.coupling_tolerance) == (LONGEST, 3e-4)
     assert finer.with_changes(duration="2 d").coupling_tolerance == 3e-4
+    assert finer.with_changes(coupling_step="auto").coupling_tolerance == 3e-4
+    assert finer.with_changes(coupling_step="30 min").coupling_tolerance is None
     # one length for all again
     assert finer.with_changes(coupling_step="5 min").coupling_tolerance is None
     both = scene.with_changes({"coupling_tolerance": 0.01, "coupling_step": "5 min"})

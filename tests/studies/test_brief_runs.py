@@ -12,6 +12,7 @@ from multicell.errors import OutputError
 from multicell.results import folder as folders
 from multicell.results import hdf5, writer
 from multicell.results.journal import Journal
+from multicell.results.observable import OWN_OBSERVABLES
 from multicell.studies.engine import run_study
 from multicell.studies.runs import run_digest
 from multicell.studies.status import run_folder
@@ -125,3 +126,18 @@ def test_names_of_folders_are_on_the_disk_at_the_end_of_a_study(tmp_path, monkey
     run_study([run], tmp_path, cores=1)
     parts = ["scene.toml.part", "frames.h5.part", "summary.json.part"]
     assert done == [*parts, run.name, "runs"]
+
+
+@pytest.mark.parametrize("cores", [1, 2])
+def test_an_own_observable_that_is_not_loaded_is_refused_before_anything_runs(cores, tmp_path):
+    path = tmp_path / "mine.py"
+    path.write_text(
+        "import multicell as mc\n@mc.observable(name='of a study', unit='um')\n"
+        "def absent(state):\n    return 1.0\n"
+    )
+    own = mc.load_observable(f"{path}:absent")
+    run = run_of(SCENE.with_observables(own))
+    del OWN_OBSERVABLES[own.function]
+    with pytest.raises(mc.SceneError, match="absent"):
+        run_study([run], tmp_path, cores=cores)
+    assert os.listdir(tmp_path / "runs") == []

@@ -52,7 +52,10 @@ def missing_parts(scene: Scene) -> dict[str, float]:
 
 def _most_cells(scene: Scene) -> float:
     """Return more cells than a scene is going to have, without the time of a forecast."""
-    cycles = 0.0 if scene.growth is None else scene.duration / scene.growth.mean_cycle
+    if scene.growth is None:
+        return float(scene.initial.count)
+    shortest = min((kind.cycle_scale for kind in scene.types.values()), default=1.0)
+    cycles = scene.duration / (shortest * scene.growth.mean_cycle)
     return scene.initial.count * math.exp(min(4.0 * cycles, 100.0))
 
 
