@@ -61,8 +61,7 @@ def test_scenes_load_or_are_refused_by_name(request):
 def test_small_scenes_run_to_finite_numbers_or_fail_by_name(request):
     counts = searched(request, "run", "--runs")
     assert {name.split(" ")[0] for name in counts} <= {"ran", "refused", "StepFailed"}
-    # of the usual five draws two may run by chance
-    assert counts["ran"] + 1 > 0.4 * counts.total() + 0.5, "the search runs too little"
+    assert counts["ran"] >= 0.4 * counts.total(), "the search runs too little"
 
 
 @pytest.mark.harness
