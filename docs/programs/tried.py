@@ -74,7 +74,7 @@ class Rock4(ErrorControl):
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step."""
         source, length = stepping.Called(system), system.motion.end - system.motion.begin
-        radius, counts = system.motion.radius, np.zeros(4, dtype=np.int64)
+        radius, counts = system.motion.radius, np.zeros(5, dtype=np.int64)
         control = driver.control(self, system, self.exponent, lower=0)
         x, work, vector = (
             np.array(position),
@@ -97,8 +97,8 @@ class Rock4(ErrorControl):
                     source, None, elapsed, x, slope, radius, vector, products
                 )[0]  # fmt: skip
             longest = rock4_length(DEGREES[-1]) / max(rate, 1e-300)
-            step = stepping.fit_step(min(walk[stepping.STEP], longest), length - elapsed)
-            walk[stepping.STEP] = step
+            step = stepping.fit_step(min(walk[stepping.DT], longest), length - elapsed)
+            walk[stepping.DT] = step
             if stepping.stop_reason(walk, counts, control, length) != stepping.DONE:
                 return Outcome(system.motion.begin + elapsed, x, "steps became too short")
             trial, end, error = self.step(field, elapsed, x, slope, step, rate, part)
