@@ -1,4 +1,4 @@
-"""The inverse of diffusion on few nodes, by sine and cosine transforms that are matrix products.
+"""Few nodes: the inverse of diffusion by transforms that are matrix products, and Newton's method.
 
 On up to :data:`MAX_DENSE_NODES` nodes along an axis the product with the matrix of a transform
 takes less time than a fast transform. What is even about the middle of an axis has coefficients of
@@ -6,7 +6,8 @@ its own, and so has what is odd: two products of half the size. The axis that is
 first and the others are one long row, which the vector units want: so the array is turned between
 transforms, and in the spectrum, where the order does not matter, stays turned.
 
-Sums are made in a fixed order: the result has the same bits on all machines.
+Sums are made in a fixed order: the result has the same bits on all machines. Calls of compiled code
+would take longer than its work here, so that all of a solve is one call.
 """
 
 from __future__ import annotations
@@ -94,27 +95,119 @@ class Inverse:
     """Solves (A + shift) u = y, A having the eigenvalues of minus a Laplacian.
 
     - ``halves``, of each axis (4, h, h) and (n,): see :func:`halves`
-    - ``stiffness``, float, 1/s: what the eigenvalues are to be multiplied by
     """
 
-    def __init__(self, halves: Sequence[tuple[Float32Array, FloatArray]], stiffness: float) -> None:
+    def __init__(self, halves: Sequence[tuple[Float32Array, FloatArray]]) -> None:
         (fx, ax), (fy, ay), (fz, az) = halves
-        nx, ny, nz = len(ax), len(ay), len(az)
-        self._room = np.empty((2, nx * ny * nz), dtype=np.float32)
-        along = stiffness * ax, stiffness * ay, stiffness * az
-        self._of_axes: tuple[Any, ...] = fx, fy, fz, *along
+        nodes = len(ax) * len(ay) * len(az)
+        self._single = np.empty((3, nodes), dtype=np.float32)
+        self._work = np.empty((6, nodes))
+        self._of_axes: tuple[Any, ...] = fx, fy, fz, ax, ay, az
 
-    def overwrite(self, y: Float32Array, shift: float) -> float:
-        """Overwrite ``y`` (nx, ny, nz) with u, and return y . u; ``shift`` is in 1/s."""
-        return float(_invert(y, shift, self._room, *self._of_axes))
+    def overwrite(self, y: Float32Array, shift: float, stiffness: float) -> float:
+        """Overwrite ``y`` (nx, ny, nz) with u, and return y . u.
 
-    def iterate(self, *system: Any) -> int:
-        """Solve by conjugate gradients as :func:`_iterate` does; return the number of steps."""
-        given = *system, self._room, *self._of_axes
-        return int(_iterate(*given))
+        - ``shift``, ``stiffness``, 1/s: the latter is what the eigenvalues are multiplied by
+        """
+        fx, fy, fz, *axes = self._of_axes
+        scaled = [stiffness * along for along in axes]
+        return float(_invert(y, shift, self._single, fx, fy, fz, *scaled))
+
+    def newton(self, *problem: Any) -> tuple[Any, ...]:
+        """Do what :func:`_newton` does with the arrays that it works in."""
+        given = *problem, self._work, self._single, *self._of_axes
+        return _newton(*given)  # type: ignore[no-any-return]
 
 
 @_jit
+def _newton(
+    c: FloatArray,
+    residual: FloatArray,
+    rate: FloatArray,
+    const: FloatArray,
+    varied: FloatArray | None,
+    tolerance: float,
+    rounding: float,
+    forcing: float,
+    near_forcing: float,
+    most: int,
+    backtracks: int,
+    uptake_shift: float,
+    sink: FloatArray,
+    source: FloatArray,
+    half: float,
+    stiffness: float,
+    linear: float,
+    ghost: FloatArray,
+    weights: stencil.Weights,
+    exchange: FloatArray | None,
+    level: float,
+    work: FloatArray,
+    single: Float32Array,
+    fx: Float32Array,
+    fy: Float32Array,
+    fz: Float32Array,
+    ax: FloatArray,
+    ay: FloatArray,
+    az: FloatArray,
+) -> tuple[Any, ...]:
+    """Bring ``c`` to rest as :func:`multicell.nutrient.steady._newton` does on more nodes.
+
+    - ``residual``, ``rate``, (nx, ny, nz): to be those of the last state
+    - ``rounding``: error of the imbalance over the norm of ``c``; ``most``: Newton steps
+    - ``work``, (6, nodes), ``single``, (3, nodes)
+
+    Return whether it is done, Newton steps, steps of conjugate gradients, the sums of
+    :func:`.stencil.write_imbalance`, the least concentration, the sums of :func:`.stencil.account`
+    and of :func:`.stencil.flows`.
+    """
+    law = (sink, source, half, stiffness, linear, ghost, weights, exchange, level)
+    lx, ly, lz = stiffness * ax, stiffness * ay, stiffness * az
+    here, there, planes, root = c, work[5].reshape(c.shape), len(c), np.sqrt(c.size)
+    x, left, parts = work[0], residual.reshape(c.size), np.empty((5, 1))
+    steps, products, size = 0, 0, 0.0
+    stencil.imbalance_of_planes(0, planes, here, *law, residual, rate, parts, planes)
+    while True:
+        last, size = size, np.sqrt(parts[0, 0])
+        target = max(tolerance * parts[1, 0] / root, rounding * np.sqrt(parts[2, 0]))
+        if steps == 0:  # far from the solution imbalances are larger than the uptake
+            share = near_forcing if size * root < parts[1, 0] else forcing
+        else:
+            share = min(forcing, (size / last) * (size / last))
+        if size <= target or not np.isfinite(size) or steps == most:
+            break
+        goal = max(share, 0.3 * target / size)
+        products += _iterate(
+            rate, residual, varied, stiffness, ghost, weights, size, goal * goal, work, single,
+            uptake_shift, fx, fy, fz, lx, ly, lz,
+        )  # fmt: skip
+        steps += 1
+        a, b, slope, part = here.reshape(c.size), there.reshape(c.size), 0.0, 1.0
+        for n in range(c.size):
+            slope += left[n] * x[n]
+        for _ in range(backtracks):  # see :func:`multicell.nutrient.steady._search`
+            for n in range(c.size):
+                b[n] = x[n] * part + a[n]
+            stencil.imbalance_of_planes(0, planes, there, *law, residual, rate, parts, planes)
+            product = 0.0
+            for n in range(c.size):
+                product += left[n] * x[n]
+            if not product < -0.9 * slope:
+                break
+            part *= max(slope / (slope - product), 0.25)
+        here, there = there, here
+    a, b, least = here.reshape(c.size), c.reshape(c.size), np.inf
+    for n in range(c.size):
+        b[n] = a[n]
+        least = min(least, a[n])
+    amounts = stencil.account(c, sink, half, residual)
+    flows = stencil.flows(c, ghost, const, weights)
+    s = parts[:, 0]
+    sums = s[0], s[1], s[2], s[3], s[4]
+    return size <= target, steps, products, sums, least, amounts, flows
+
+
+@_inner
 def _iterate(
     rate: FloatArray,
     residual: FloatArray,
@@ -125,9 +218,8 @@ def _iterate(
     size: float,
     goal: float,
     work: FloatArray,
-    y: Float32Array,
+    single: Float32Array,
     uptake_shift: float,
-    room: Float32Array,
     fx: Float32Array,
     fy: Float32Array,
     fz: Float32Array,
@@ -135,19 +227,19 @@ def _iterate(
     ly: FloatArray,
     lz: FloatArray,
 ) -> int:
-    """Solve (-D L0 + rate) x = residual in one call: on few nodes calls take longer than the work.
+    """Solve (-D L0 + rate) x = residual by conjugate gradients; return the number of steps.
 
     - ``size``, ``goal``: of the residual's norm, and the square of the part of it to be left
-    - ``work``, (5, nodes): x first; ``y``, (nx, ny, nz)
+    - ``work``, (5, nodes) and more: x first; ``single``, (3, nodes)
     - ``uptake_shift``: the preconditioner's, over the mean of the rates
     """
-    x, r, p, q, scale = work[0], work[1], work[2], work[3], work[4]
-    direction, image, flat = p.reshape(rate.shape), q.reshape(rate.shape), y.reshape(y.size)
+    x, r, p, q, scale, flat = work[0], work[1], work[2], work[3], work[4], single[2]
+    direction, image, y = p.reshape(rate.shape), q.reshape(rate.shape), flat.reshape(rate.shape)
     rates, left = rate.reshape(rate.size), residual.reshape(rate.size)
     weight = None if varied is None else varied.reshape(rate.size)
     total = stencil.begin(rates, left, weight, 0.5 / stiffness, size, x, r, p, scale, flat)
     shift = uptake_shift * total / rate.size
-    rho, beta, steps = _invert(y, shift, room, fx, fy, fz, lx, ly, lz), 0.0, 0
+    rho, beta, steps = _invert(y, shift, single, fx, fy, fz, lx, ly, lz), 0.0, 0
     while steps < stencil.MAX_CG:
         stencil.new_direction(p, flat, scale, beta)
         curvature = stencil.apply_operator(direction, rate, stiffness, ghost, weights, image)
@@ -156,7 +248,7 @@ def _iterate(
         steps += 1
         if not stencil.update_residual(rho / curvature, x, p, r, q, scale, flat) > goal:
             break
-        following = _invert(y, shift, room, fx, fy, fz, lx, ly, lz)
+        following = _invert(y, shift, single, fx, fy, fz, lx, ly, lz)
         beta, rho = following / rho, following
     for n in range(x.size):
         x[n] *= size
@@ -175,7 +267,7 @@ def _invert(
     ly: FloatArray,
     lz: FloatArray,
 ) -> float:
-    """Do what :meth:`Inverse.overwrite` does, with ``room``, (2, nodes)."""
+    """Do what :meth:`Inverse.overwrite` does, with ``room``, (2, nodes) and more."""
     nx, ny, nz = y.shape
     u, a, b = y.reshape((nx, ny * nz)), room[0], room[1]
     ax, ay, az = a.reshape((nx, ny * nz)), a.reshape((ny, nx * nz)), a.reshape((nz, ny * nx))

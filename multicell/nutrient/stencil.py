@@ -519,7 +519,7 @@ def flat_dot(a: Floats, b: Floats) -> float:
     return product
 
 
-@_jit
+@_both
 def flows(
     c: FloatArray, ghost: FloatArray, const: FloatArray, weights: Weights
 ) -> tuple[float, float]:
@@ -549,7 +549,7 @@ def flows(
     return inward, outward
 
 
-@_jit
+@_both
 def account(c: FloatArray, sink: FloatArray, half: float, residual: Floats) -> tuple[float, float]:
     """Return the sums over all nodes of the sizes of the residual and of uptake, mM/s.
 
