@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from multicell.cells import FloatArray
 from multicell.compiling import INNER, KERNEL, arithmetic, typed
 from multicell.nutrient import stencil
+from multicell.nutrient.uptake import uptake_and_slope
 
 Float32Array = NDArray[np.float32]
 _jit = typed(**KERNEL)
@@ -163,10 +164,10 @@ def _newton(
     """
     law = (sink, source, half, stiffness, linear, ghost, weights, exchange, level)
     lx, ly, lz = stiffness * ax, stiffness * ay, stiffness * az
-    here, there, planes, root = c, work[5].reshape(c.shape), len(c), np.sqrt(c.size)
+    here, there, root = c, work[5].reshape(c.shape), np.sqrt(c.size)
     x, left, parts = work[0], residual.reshape(c.size), np.empty((5, 1))
     steps, products, size = 0, 0, 0.0
-    stencil.imbalance_of_planes(0, planes, here, *law, residual, rate, parts, planes)
+    _imbalance(here, law, residual, rate, parts)
     while True:
         last, size = size, np.sqrt(parts[0, 0])
         target = max(tolerance * parts[1, 0] / root, rounding * np.sqrt(parts[2, 0]))
@@ -188,7 +189,7 @@ def _newton(
         for _ in range(backtracks):  # see :func:`multicell.nutrient.steady._search`
             for n in range(c.size):
                 b[n] = x[n] * part + a[n]
-            stencil.imbalance_of_planes(0, planes, there, *law, residual, rate, parts, planes)
+            _imbalance(there, law, residual, rate, parts)
             product = 0.0
             for n in range(c.size):
                 product += left[n] * x[n]
@@ -205,6 +206,72 @@ def _newton(
     s = parts[:, 0]
     sums = s[0], s[1], s[2], s[3], s[4]
     return size <= target, steps, products, sums, least, amounts, flows
+
+
+@_inner
+def _imbalance(
+    c: FloatArray, law: tuple[Any, ...], residual: FloatArray, rate: FloatArray, parts: FloatArray
+) -> None:
+    """Do what :func:`.stencil.imbalance_of_planes` does for all planes, which are one block.
+
+    Planes without weights are one long row: short ones would leave the vector units idle.
+    """
+    sink, source, half, stiffness, linear, ghost, weights, exchange, _ = law
+    nx, across = len(c), c.shape[1] * c.shape[2]
+    if weights is not None or exchange is not None:
+        stencil.imbalance_of_planes(0, nx, c, *law, residual, rate, parts, nx)
+        return
+    row, sinks, changes = np.empty(across), np.empty(across), np.empty(across)
+    squares, total, size, net, change = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(nx):
+        e, most, brought = c[i].reshape(across), sink[i].reshape(across), source[i].reshape(across)
+        left, slopes = residual[i].reshape(across), rate[i].reshape(across)
+        _fill_plane(c, ghost, i, row)
+        for k in range(across):  # no sums, for the vector units
+            v = e[k]
+            taken, slope = uptake_and_slope(most[k], v, half)
+            spent = taken + linear * v
+            outward = stiffness * (6.0 * v - row[k])
+            row[k] = brought[k] - outward - spent
+            left[k] = row[k]
+            slopes[k] = slope + linear
+            sinks[k] = spent
+            changes[k] = outward + (slope + linear) * v
+        for k in range(across):
+            squares += row[k] * row[k]
+            total += sinks[k]
+            size += e[k] * e[k]
+            net += row[k]
+            change += changes[k]
+    parts[0, 0], parts[1, 0], parts[2, 0] = squares, total, size
+    parts[3, 0], parts[4, 0] = net, change
+
+
+@_inner
+def _fill_plane(p: FloatArray, ghost: FloatArray, i: int, out: FloatArray) -> None:
+    """Write the sums of neighbours in a plane to ``out``, as :func:`.stencil.fill_row` does for rows."""
+    nx, ny, nz = p.shape
+    stencil.fill_row(p, ghost, i, 0, out[:nz])
+    if ny > 1:
+        stencil.fill_row(p, ghost, i, ny - 1, out[(ny - 1) * nz :])
+    if ny < 3:
+        return
+    plane, end = p[i].reshape(ny * nz), (ny - 1) * nz
+    o, e, c, d = out[nz:end], plane[nz:end], plane[: end - nz], plane[2 * nz :]
+    a, wa = (p[i - 1].reshape(ny * nz)[nz:end], 1.0) if i > 0 else (e, ghost[0])
+    b, wb = (p[i + 1].reshape(ny * nz)[nz:end], 1.0) if i < nx - 1 else (e, ghost[1])
+    before, after = plane[nz - 1 : end - 1], plane[nz + 1 : end + 1]
+    if i == 0 or i == nx - 1:
+        for k in range(o.size):
+            o[k] = (wa * a[k] + wb * b[k] + c[k] + d[k]) + before[k] + after[k]
+    else:
+        for k in range(o.size):
+            o[k] = (a[k] + b[k]) + (c[k] + d[k]) + (before[k] + after[k])
+    for k in range(0, o.size, nz):  # the ends of rows
+        across = wa * a[k] + wb * b[k] + c[k] + d[k] + ghost[4] * e[k]
+        o[k] = across + (after[k] if nz > 1 else ghost[5] * e[k])
+    for k in range(nz - 1, o.size if nz > 1 else 0, nz):
+        o[k] = (wa * a[k] + wb * b[k] + c[k] + d[k] + before[k]) + ghost[5] * e[k]
 
 
 @_inner
@@ -345,26 +412,35 @@ def _product(f: Float32Array, x: Float32Array, y: Float32Array) -> None:
                 q[c] += b0 * x[i, c]
 
 
+# Flat arrays and unsigned numbers: the compiler would look for numbers that count from the end, and
+# takes ten times as long.
 @_inner
 def _swap(x: Float32Array, y: Float32Array) -> None:
     """Write ``x`` (n, m k) as (m, n k) to ``y``: the first two of three axes change places."""
     n, m = x.shape[0], y.shape[0]
     k = x.shape[1] // m
+    p, q = x.reshape(x.size), y.reshape(y.size)
     for i in range(n):
         for j in range(m):
+            a, b = (
+                p[(i * m + j) * k : (i * m + j + 1) * k],
+                q[(j * n + i) * k : (j * n + i + 1) * k],
+            )
             for c in range(k):
-                y[j, i * k + c] = x[i, j * k + c]
+                b[c] = a[c]
 
 
 @_inner
 def _turn(x: Float32Array, y: Float32Array) -> None:
     """Write the transpose of ``x`` to ``y``, in blocks that fit into the nearest memory."""
-    rows, columns = x.shape
-    for i in range(0, rows, 16):
-        for j in range(0, columns, 16):
-            for k in range(i, min(i + 16, rows)):
-                for m in range(j, min(j + 16, columns)):
-                    y[m, k] = x[k, m]
+    rows, columns = np.uint64(x.shape[0]), np.uint64(x.shape[1])
+    p, q = x.reshape(x.size), y.reshape(y.size)
+    for i in range(0, x.shape[0], 16):
+        first, number = np.uint64(i), np.uint64(min(16, x.shape[0] - i))
+        for j in range(columns):
+            a, b = first * columns + j, j * rows + first
+            for k in range(number):
+                q[b + k] = p[a + k * columns]
 
 
 @_inner
