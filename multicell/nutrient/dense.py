@@ -249,7 +249,7 @@ def _imbalance(
 
 @_inner
 def _fill_plane(p: FloatArray, ghost: FloatArray, i: int, out: FloatArray) -> None:
-    """Write the sums of neighbours in a plane to ``out``, as :func:`.stencil.fill_row` does for rows."""
+    """Write the sums of neighbours of a plane to ``out``, see :func:`.stencil.fill_row`."""
     nx, ny, nz = p.shape
     stencil.fill_row(p, ghost, i, 0, out[:nz])
     if ny > 1:
