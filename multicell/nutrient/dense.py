@@ -117,7 +117,7 @@ class Inverse:
     def newton(self, *problem: Any) -> tuple[Any, ...]:
         """Do what :func:`_newton` does with the arrays that it works in."""
         given = *problem, self._work, self._single, *self._of_axes
-        return _newton(*given)  # type: ignore[no-any-return]
+        return _newton(*given)
 
 
 @_jit
@@ -167,7 +167,7 @@ def _newton(
     here, there, root = c, work[5].reshape(c.shape), np.sqrt(c.size)
     x, left, parts = work[0], residual.reshape(c.size), np.empty((5, 1))
     steps, products, size = 0, 0, 0.0
-    _imbalance(here, law, residual, rate, parts)
+    _imbalance(here, law, residual, rate, parts, x)
     while True:
         last, size = size, np.sqrt(parts[0, 0])
         target = max(tolerance * parts[1, 0] / root, rounding * np.sqrt(parts[2, 0]))
@@ -189,10 +189,7 @@ def _newton(
         for _ in range(backtracks):  # see :func:`multicell.nutrient.steady._search`
             for n in range(c.size):
                 b[n] = x[n] * part + a[n]
-            _imbalance(there, law, residual, rate, parts)
-            product = 0.0
-            for n in range(c.size):
-                product += left[n] * x[n]
+            product = _imbalance(there, law, residual, rate, parts, x)
             if not product < -0.9 * slope:
                 break
             part *= max(slope / (slope - product), 0.25)
@@ -210,20 +207,30 @@ def _newton(
 
 @_inner
 def _imbalance(
-    c: FloatArray, law: tuple[Any, ...], residual: FloatArray, rate: FloatArray, parts: FloatArray
-) -> None:
+    c: FloatArray,
+    law: tuple[Any, ...],
+    residual: FloatArray,
+    rate: FloatArray,
+    parts: FloatArray,
+    x: FloatArray,
+) -> float:
     """Do what :func:`.stencil.imbalance_of_planes` does for all planes, which are one block.
 
-    Planes without weights are one long row: short ones would leave the vector units idle.
+    Return the product of the residual and ``x``, (nodes,). Planes without weights are one long row:
+    short ones would leave the vector units idle.
     """
     sink, source, half, stiffness, linear, ghost, weights, exchange, _ = law
     nx, across = len(c), c.shape[1] * c.shape[2]
     if weights is not None or exchange is not None:
         stencil.imbalance_of_planes(0, nx, c, *law, residual, rate, parts, nx)
-        return
+        every, product = residual.reshape(c.size), 0.0
+        for k in range(c.size):
+            product += every[k] * x[k]
+        return product
     row, sinks, changes = np.empty(across), np.empty(across), np.empty(across)
-    squares, total, size, net, change = 0.0, 0.0, 0.0, 0.0, 0.0
+    squares, total, size, net, change, product = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(nx):
+        along = x[i * across : (i + 1) * across]
         e, most, brought = c[i].reshape(across), sink[i].reshape(across), source[i].reshape(across)
         left, slopes = residual[i].reshape(across), rate[i].reshape(across)
         _fill_plane(c, ghost, i, row)
@@ -243,8 +250,10 @@ def _imbalance(
             size += e[k] * e[k]
             net += row[k]
             change += changes[k]
+            product += row[k] * along[k]
     parts[0, 0], parts[1, 0], parts[2, 0] = squares, total, size
     parts[3, 0], parts[4, 0] = net, change
+    return product
 
 
 @_inner
