@@ -309,7 +309,7 @@ def rows_before(began: Cells, cells: Cells) -> IntArray:
         return began.rows_of(cells.id)
     find = _finder(began.id)
     row = find(cells.id)
-    born = np.flatnonzero(row < 0)
+    born = (row < 0).nonzero()[0]
     row[born] = find(cells.parent[born])
     return row
 

@@ -227,7 +227,7 @@ def change_types(
     - ``found``: list that the changes are added to
     """
     known = tuple(part for name in changing(plan.responses) for part in plan.responses[name])
-    after, rows = cells.shared(), np.flatnonzero(~cells.dead)
+    after, rows = cells.shared(), (~cells.dead).nonzero()[0]
     integral, count = np.zeros(len(cells)), np.zeros(len(cells), dtype=np.int64)
     if cells.change_hazard is not None:
         integral += cells.change_hazard
@@ -240,7 +240,7 @@ def change_types(
         gained = rates.sum(axis=1)
         part = part_until(plan, Purpose.CHANGE, cells.id[rows], integral[rows], gained, count[rows])
         integral[rows] += gained
-        turns = np.flatnonzero(np.isfinite(part))
+        turns = np.isfinite(part).nonzero()[0]
         rows, exposure = rows[turns], exposure[turns]
         since = exposure.reached(known, by_type, part[turns], since[turns])
         ends = np.cumsum(rates[turns], axis=1)
@@ -266,7 +266,7 @@ def mutate(plan: BiologyPlan, daughters: Cells, chances: BirthChances, first: in
     if all(one is None for one in chances):
         return
     kinds = _kinds_at_birth(plan, daughters, chances, first)
-    turns = np.flatnonzero(kinds != daughters.kind)
+    turns = (kinds != daughters.kind).nonzero()[0]
     _become(plan, daughters, turns, kinds[turns])
 
 
@@ -331,7 +331,7 @@ def mutate_as_found(
     if not known:
         return cells, none
     mothers, row = exposure.began, exposure.row
-    rows = np.flatnonzero((mothers.id[row] != cells.id) & ~cells.dead)
+    rows = ((mothers.id[row] != cells.id) & ~cells.dead).nonzero()[0]
     if not rows.size:
         return cells, rows
     born = exposure[rows]
@@ -344,7 +344,7 @@ def mutate_as_found(
         for behaviour in _AT_BIRTH
     ]
     kinds = _kinds_at_birth(plan, born.cells, chances, first)
-    wrong = np.flatnonzero(kinds != cells.kind[rows])
+    wrong = (kinds != cells.kind[rows]).nonzero()[0]
     after = cells.shared()
     _become(plan, after, rows[wrong], kinds[wrong])
     return after, rows[wrong]

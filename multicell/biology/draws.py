@@ -160,7 +160,7 @@ def _drawn(
     below 1 - exp(-μT), twice on average.
     """
     out = draw(ids, 0)
-    left = np.flatnonzero(ids < plan.founders)
+    left = (ids < plan.founders).nonzero()[0]
     rate, attempt = 0.0, 0
     if left.size and plan.growth is not None:
         rate = malthusian_rate(plan.growth)

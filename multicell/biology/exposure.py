@@ -388,7 +388,7 @@ def part_until(
     Infinite where it does not; ``number`` distinguishes events of the same cell.
     """
     part = np.full(len(ids), np.inf)
-    grows = np.flatnonzero(gained > 0.0)
+    grows = (gained > 0.0).nonzero()[0]
     if grows.size:
         event = np.broadcast_to(number, len(ids))[grows]
         threshold = random.thresholds(plan.seed, purpose, event, ids[grows])

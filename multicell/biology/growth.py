@@ -100,7 +100,7 @@ def volumes_after(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float
             share = np.where(grow, dt * factor / cells.cycle_time, 0.0)
             volume = np.where(grow, law.volume_after(volume, share, birth), volume)
     if plan.death is not None and np.count_nonzero(cells.dead):
-        dead = np.flatnonzero(cells.dead)
+        dead = cells.dead.nonzero()[0]
         birth, state = plan.birth_volumes(cells.kind[dead]), cells.state[dead]
         volume[dead] = shrunk(plan.death, birth, volume[dead], state, cells.age[dead], dt)
     return volume

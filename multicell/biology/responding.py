@@ -414,7 +414,7 @@ def with_newborn(plan: BiologyPlan, cells: Cells, contacts: IntArray, first: int
 
     - ``first``: identity of the first of these
     """
-    born = np.flatnonzero((cells.id >= first) & ~cells.dead)
+    born = ((cells.id >= first) & ~cells.dead).nonzero()[0]
     if not born.size or not any(map(needs_contacts, plan.elsewhere)):
         return contacts
     from scipy.spatial import cKDTree

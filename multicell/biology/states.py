@@ -111,7 +111,7 @@ def deaths(
     if exposure is not None and "damage rate" in plan.responses:
         necrosis = _earlier(necrosis, take_damage(plan, cells, exposure, columns))
     if plan.growth is not None and np.count_nonzero(last := cells.doomed == 1):
-        due = np.flatnonzero(last & due_to_divide(plan, cells))
+        due = (last & due_to_divide(plan, cells)).nonzero()[0]
         apoptosis = _earlier(apoptosis, _only(due, _since_due(plan, cells, exposure, due), cells))
     if "apoptosis rate" in plan.base_rates:
         apoptosis = _earlier(apoptosis, apoptotic(plan, cells, exposure, time, columns))
@@ -129,7 +129,7 @@ def _end_with_death(
     columns: dict[str, FloatArray],
 ) -> None:
     """Let damage and integrals of cells that die be those until their death, at parts of a step."""
-    rows = np.flatnonzero((part < 1.0) & ~cells.dead)
+    rows = ((part < 1.0) & ~cells.dead).nonzero()[0]
     if not rows.size:
         return
     some, ended = cells.take(rows), exposure[rows]
@@ -191,7 +191,7 @@ def die(
     age = np.where(died, 0.0, cells.age)
     if exposure is None or part is None or plan.death is None:
         return cells.changed(age=age), 0.0
-    rows = np.flatnonzero(died)
+    rows = died.nonzero()[0]
     volume = exposure[rows].volume_at(part[rows])
     age[rows] = np.minimum((1.0 - part[rows]) * exposure.length, cells.age[rows])
     birth = plan.birth_volumes(cells.kind[rows])
@@ -211,7 +211,7 @@ def rest_from_birth(cells: Cells, before: NDArray[np.int8], exposure: Exposure) 
     """
     if cells.id is exposure.began.id:  # no cell was born
         return cells
-    rows = np.flatnonzero((cells.state == _RESTING) & (before == _GROWING))
+    rows = ((cells.state == _RESTING) & (before == _GROWING)).nonzero()[0]
     if rows.size:
         rows = rows[exposure.began.id[exposure.row[rows]] != cells.id[rows]]
     if not rows.size:
@@ -270,7 +270,7 @@ def apoptotic(
     # who was there at the start is older than the run, who was born in it is younger
     lived = np.minimum(cells.age, time) * rate
     life = random.thresholds(plan.seed, Purpose.APOPTOSIS, 0, cells.id)
-    over = np.flatnonzero((lived > life) & ~cells.dead)
+    over = ((lived > life) & ~cells.dead).nonzero()[0]
     if not over.size:
         return None
     late = (lived[over] - life[over]) / rate
@@ -295,7 +295,7 @@ def necrotic(
     if any(math.isinf(response.effect.high) for response in known):
         hazard = rate_of_harm(plan, "necrosis rate", signals, cells)
         now = np.zeros(len(cells), dtype=np.bool_) if hazard is None else np.isinf(hazard)
-        rows = np.flatnonzero(now)
+        rows = now.nonzero()[0]
         if exposure is not None and exposure.inner:
             rows = np.arange(len(cells))
         if rows.size and (rows := rows[~cells.dead[rows]]).size:
@@ -338,7 +338,7 @@ def _part_until_death(
 
 def _when(exposure: Exposure, known: Known, rate: Rate, share: FloatArray) -> FloatArray:
     """Return at which parts of a step integrals come to shares of their gain, (n,)."""
-    rows = np.flatnonzero(np.isfinite(share))
+    rows = np.isfinite(share).nonzero()[0]
     part = share.copy()
     if rows.size:
         part[rows] = exposure[rows].reached(known, rate, share[rows])
@@ -359,7 +359,7 @@ def take_damage(
     if plan.death is not None and plan.death.repair_rate > 0.0:
         return _take_and_heal(plan, cells, exposure, columns)
     gained, two_rates = np.where(cells.dead, 0.0, exposure.integral(known, rate)), None
-    hit = np.flatnonzero(gained)
+    hit = gained.nonzero()[0]
     if plan.death is not None and plan.death.damage_variation > 0.0 and hit.size:
         born = hit[exposure.began.id[exposure.row[hit]] != cells.id[hit]]
         # before its birth a daughter bore the damage of its mother

@@ -130,7 +130,7 @@ def bind_changed(
     if plan.receptors is None or cells.kind is before.kind:
         return cells
     row = rows_before(before, cells)
-    changed = np.flatnonzero(cells.kind != before.kind[row])
+    changed = (cells.kind != before.kind[row]).nonzero()[0]
     here = {name: values[row[changed]] for name, values in signals.items()}
     levels = bond_levels(plan, cells.take(changed), here, time)
     receptor, ligand = cells.receptor.copy(), cells.ligand.copy()

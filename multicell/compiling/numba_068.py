@@ -59,6 +59,7 @@ from typing import Any, final
 
 from llvmlite import ir
 from numba import types
+from numba._dispatcher import compute_fingerprint
 from numba.core import boxing, caching, cgutils, config, event
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
@@ -79,6 +80,7 @@ __all__ = [
     "PieceCompiler",
     "cgutils",
     "change_numba",
+    "compute_fingerprint",
     "event",
     "install_recorder",
     "installed_pack",

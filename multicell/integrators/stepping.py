@@ -30,8 +30,8 @@ from multicell.compiling import (
     address_of,
     arithmetic,
     called_at,
-    kind_of,
 )
+from multicell.compiling.numba_068 import compute_fingerprint
 from multicell.integrators import fused
 from multicell.mechanics import any_law, forces
 from multicell.mechanics.motion import StateRejected
@@ -257,7 +257,7 @@ def with_addresses(
     """
     repairs = len(source.reach) >= updating.REPAIR_FROM
     # the rest of a source is of one kind, and so are the law's values; a law is of floats and None
-    kinds = kind_of(source.cells), kind_of(source[2:5]), kind_of(pairs), type(law), *map(type, law)
+    kinds = compute_fingerprint((source.cells, source[2:5], pairs)), type(law), *map(type, law)
     key = kinds, shared, passes, parts, watched, repairs
     if key not in _PLACES:
         used = stepping_kernels(source, pairs, law, shared=shared, passes=passes)

@@ -102,26 +102,40 @@ def _balls(radius: FloatArray, spacing: float, flat: bool) -> tuple[Any, ...]:
     Besides densities of boxes, where those of each number begin, and the most nodes along an axis,
     of all cells and of those that are one box. Raises ValueError for radii that are none.
     """
-    least, most = _least_and_most(radius)
-    size = radius / spacing
-    counts = np.ones(len(size), dtype=np.int64)
+    filled, first, sizes = _tables(1, flat)
+    counts, widths = np.empty(len(radius), dtype=np.int64), np.empty(len(radius))
+    most = _single_boxes(radius, spacing, sizes[1], counts, widths)
+    if not most < np.inf:
+        raise ValueError("a radius is negative or not finite")
     largest = most / spacing
+    single = sizes[1] * largest
+    nodes = int(single) + 4
     if largest > _ONE:
+        size = radius / spacing
         large = size > _ONE
         counts[large] = np.minimum(np.ceil(_PER_RADIUS * size[large]), _MOST)
         filled, first, sizes = _tables(int(counts.max()), flat)
         widths = sizes[counts] * size
         single = widths.max(where=~large, initial=0.0)
         nodes = int((counts * widths).max()) + 4
-    else:
-        filled, first, sizes = _tables(1, flat)
-        widths = sizes[1] * size
-        single = sizes[1] * largest
-        nodes = int(single) + 4
-    if least / spacing <= _POINT:
         widths[size <= _POINT] = 0.0
     number = max(int(single) + 3, 4) if single > _POINT else 2
     return counts, widths, filled, first, nodes, number
+
+
+@njit(**KERNEL)
+def _single_boxes(radius, spacing, wide, counts, widths):
+    """Write that cells are one box each, ``wide`` times their radius, or points.
+
+    Return the largest radius; infinite where one is none.
+    """
+    most = 0.0
+    for cell in range(radius.size):
+        r = radius[cell]
+        most = max(most, r) if 0.0 <= r < np.inf else np.inf
+        size = r / spacing
+        counts[cell], widths[cell] = 1, 0.0 if size <= _POINT else wide * size
+    return most
 
 
 @njit(**INNER)

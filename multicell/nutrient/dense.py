@@ -1,4 +1,4 @@
-"""The inverse of diffusion on few nodes, by sine and cosine transforms that are matrix products.
+"""Few nodes: the inverse of diffusion by transforms that are matrix products, and Newton's method.
 
 On up to :data:`MAX_DENSE_NODES` nodes along an axis the product with the matrix of a transform
 takes less time than a fast transform. What is even about the middle of an axis has coefficients of
@@ -6,7 +6,8 @@ its own, and so has what is odd: two products of half the size. The axis that is
 first and the others are one long row, which the vector units want: so the array is turned between
 transforms, and in the spectrum, where the order does not matter, stays turned.
 
-Sums are made in a fixed order: the result has the same bits on all machines.
+Sums are made in a fixed order: the result has the same bits on all machines. Calls of compiled code
+would take longer than its work here, so that all of a solve is one call.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from multicell.cells import FloatArray
 from multicell.compiling import INNER, KERNEL, arithmetic, typed
 from multicell.nutrient import stencil
+from multicell.nutrient.uptake import uptake_and_slope
 
 Float32Array = NDArray[np.float32]
 _jit = typed(**KERNEL)
@@ -94,27 +96,194 @@ class Inverse:
     """Solves (A + shift) u = y, A having the eigenvalues of minus a Laplacian.
 
     - ``halves``, of each axis (4, h, h) and (n,): see :func:`halves`
-    - ``stiffness``, float, 1/s: what the eigenvalues are to be multiplied by
     """
 
-    def __init__(self, halves: Sequence[tuple[Float32Array, FloatArray]], stiffness: float) -> None:
+    def __init__(self, halves: Sequence[tuple[Float32Array, FloatArray]]) -> None:
         (fx, ax), (fy, ay), (fz, az) = halves
-        nx, ny, nz = len(ax), len(ay), len(az)
-        self._room = np.empty((2, nx * ny * nz), dtype=np.float32)
-        along = stiffness * ax, stiffness * ay, stiffness * az
-        self._of_axes: tuple[Any, ...] = fx, fy, fz, *along
+        nodes = len(ax) * len(ay) * len(az)
+        self._single = np.empty((3, nodes), dtype=np.float32)
+        self._work = np.empty((6, nodes))
+        self._of_axes: tuple[Any, ...] = fx, fy, fz, ax, ay, az
 
-    def overwrite(self, y: Float32Array, shift: float) -> float:
-        """Overwrite ``y`` (nx, ny, nz) with u, and return y . u; ``shift`` is in 1/s."""
-        return float(_invert(y, shift, self._room, *self._of_axes))
+    def overwrite(self, y: Float32Array, shift: float, stiffness: float) -> float:
+        """Overwrite ``y`` (nx, ny, nz) with u, and return y . u.
 
-    def iterate(self, *system: Any) -> int:
-        """Solve by conjugate gradients as :func:`_iterate` does; return the number of steps."""
-        given = *system, self._room, *self._of_axes
-        return int(_iterate(*given))
+        - ``shift``, ``stiffness``, 1/s: the latter is what the eigenvalues are multiplied by
+        """
+        fx, fy, fz, *axes = self._of_axes
+        scaled = [stiffness * along for along in axes]
+        return float(_invert(y, shift, self._single, fx, fy, fz, *scaled))
+
+    def newton(self, *problem: Any) -> tuple[Any, ...]:
+        """Do what :func:`_newton` does with the arrays that it works in."""
+        given = *problem, self._work, self._single, *self._of_axes
+        return _newton(*given)
 
 
 @_jit
+def _newton(
+    c: FloatArray,
+    residual: FloatArray,
+    rate: FloatArray,
+    const: FloatArray,
+    varied: FloatArray | None,
+    tolerance: float,
+    rounding: float,
+    forcing: float,
+    near_forcing: float,
+    most: int,
+    backtracks: int,
+    uptake_shift: float,
+    sink: FloatArray,
+    source: FloatArray,
+    half: float,
+    stiffness: float,
+    linear: float,
+    ghost: FloatArray,
+    weights: stencil.Weights,
+    exchange: FloatArray | None,
+    level: float,
+    work: FloatArray,
+    single: Float32Array,
+    fx: Float32Array,
+    fy: Float32Array,
+    fz: Float32Array,
+    ax: FloatArray,
+    ay: FloatArray,
+    az: FloatArray,
+) -> tuple[Any, ...]:
+    """Bring ``c`` to rest as :func:`multicell.nutrient.steady._newton` does on more nodes.
+
+    - ``residual``, ``rate``, (nx, ny, nz): to be those of the last state
+    - ``rounding``: error of the imbalance over the norm of ``c``; ``most``: Newton steps
+    - ``work``, (6, nodes), ``single``, (3, nodes)
+
+    Return whether it is done, Newton steps, steps of conjugate gradients, the sums of
+    :func:`.stencil.write_imbalance`, the least concentration, the sums of :func:`.stencil.account`
+    and of :func:`.stencil.flows`.
+    """
+    law = (sink, source, half, stiffness, linear, ghost, weights, exchange, level)
+    lx, ly, lz = stiffness * ax, stiffness * ay, stiffness * az
+    here, there, root = c, work[5].reshape(c.shape), np.sqrt(c.size)
+    x, left, parts = work[0], residual.reshape(c.size), np.empty((5, 1))
+    steps, products, size = 0, 0, 0.0
+    _imbalance(here, law, residual, rate, parts, x)
+    while True:
+        last, size = size, np.sqrt(parts[0, 0])
+        target = max(tolerance * parts[1, 0] / root, rounding * np.sqrt(parts[2, 0]))
+        if steps == 0:  # far from the solution imbalances are larger than the uptake
+            share = near_forcing if size * root < parts[1, 0] else forcing
+        else:
+            share = min(forcing, (size / last) * (size / last))
+        if size <= target or not np.isfinite(size) or steps == most:
+            break
+        goal = max(share, 0.3 * target / size)
+        products += _iterate(
+            rate, residual, varied, stiffness, ghost, weights, size, goal * goal, work, single,
+            uptake_shift, fx, fy, fz, lx, ly, lz,
+        )  # fmt: skip
+        steps += 1
+        a, b, slope, part = here.reshape(c.size), there.reshape(c.size), 0.0, 1.0
+        for n in range(c.size):
+            slope += left[n] * x[n]
+        for _ in range(backtracks):  # see :func:`multicell.nutrient.steady._search`
+            for n in range(c.size):
+                b[n] = x[n] * part + a[n]
+            product = _imbalance(there, law, residual, rate, parts, x)
+            if not product < -0.9 * slope:
+                break
+            part *= max(slope / (slope - product), 0.25)
+        here, there = there, here
+    a, b, least = here.reshape(c.size), c.reshape(c.size), np.inf
+    for n in range(c.size):
+        b[n] = a[n]
+        least = min(least, a[n])
+    amounts = stencil.account(c, sink, half, residual)
+    flows = stencil.flows(c, ghost, const, weights)
+    s = parts[:, 0]
+    sums = s[0], s[1], s[2], s[3], s[4]
+    return size <= target, steps, products, sums, least, amounts, flows
+
+
+@_inner
+def _imbalance(
+    c: FloatArray,
+    law: tuple[Any, ...],
+    residual: FloatArray,
+    rate: FloatArray,
+    parts: FloatArray,
+    x: FloatArray,
+) -> float:
+    """Do what :func:`.stencil.imbalance_of_planes` does for all planes, which are one block.
+
+    Return the product of the residual and ``x``, (nodes,). Planes without weights are one long row:
+    short ones would leave the vector units idle.
+    """
+    sink, source, half, stiffness, linear, ghost, weights, exchange, _ = law
+    nx, across = len(c), c.shape[1] * c.shape[2]
+    if weights is not None or exchange is not None:
+        stencil.imbalance_of_planes(0, nx, c, *law, residual, rate, parts, nx)
+        every, product = residual.reshape(c.size), 0.0
+        for k in range(c.size):
+            product += every[k] * x[k]
+        return product
+    row, sinks, changes = np.empty(across), np.empty(across), np.empty(across)
+    squares, total, size, net, change, product = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(nx):
+        along = x[i * across : (i + 1) * across]
+        e, most, brought = c[i].reshape(across), sink[i].reshape(across), source[i].reshape(across)
+        left, slopes = residual[i].reshape(across), rate[i].reshape(across)
+        _fill_plane(c, ghost, i, row)
+        for k in range(across):  # no sums, for the vector units
+            v = e[k]
+            taken, slope = uptake_and_slope(most[k], v, half)
+            spent = taken + linear * v
+            outward = stiffness * (6.0 * v - row[k])
+            row[k] = brought[k] - outward - spent
+            left[k] = row[k]
+            slopes[k] = slope + linear
+            sinks[k] = spent
+            changes[k] = outward + (slope + linear) * v
+        for k in range(across):
+            squares += row[k] * row[k]
+            total += sinks[k]
+            size += e[k] * e[k]
+            net += row[k]
+            change += changes[k]
+            product += row[k] * along[k]
+    parts[0, 0], parts[1, 0], parts[2, 0] = squares, total, size
+    parts[3, 0], parts[4, 0] = net, change
+    return product
+
+
+@_inner
+def _fill_plane(p: FloatArray, ghost: FloatArray, i: int, out: FloatArray) -> None:
+    """Write the sums of neighbours of a plane to ``out``, see :func:`.stencil.fill_row`."""
+    nx, ny, nz = p.shape
+    stencil.fill_row(p, ghost, i, 0, out[:nz])
+    if ny > 1:
+        stencil.fill_row(p, ghost, i, ny - 1, out[(ny - 1) * nz :])
+    if ny < 3:
+        return
+    plane, end = p[i].reshape(ny * nz), (ny - 1) * nz
+    o, e, c, d = out[nz:end], plane[nz:end], plane[: end - nz], plane[2 * nz :]
+    a, wa = (p[i - 1].reshape(ny * nz)[nz:end], 1.0) if i > 0 else (e, ghost[0])
+    b, wb = (p[i + 1].reshape(ny * nz)[nz:end], 1.0) if i < nx - 1 else (e, ghost[1])
+    before, after = plane[nz - 1 : end - 1], plane[nz + 1 : end + 1]
+    if i == 0 or i == nx - 1:
+        for k in range(o.size):
+            o[k] = (wa * a[k] + wb * b[k] + c[k] + d[k]) + before[k] + after[k]
+    else:
+        for k in range(o.size):
+            o[k] = (a[k] + b[k]) + (c[k] + d[k]) + (before[k] + after[k])
+    for k in range(0, o.size, nz):  # the ends of rows
+        across = wa * a[k] + wb * b[k] + c[k] + d[k] + ghost[4] * e[k]
+        o[k] = across + (after[k] if nz > 1 else ghost[5] * e[k])
+    for k in range(nz - 1, o.size if nz > 1 else 0, nz):
+        o[k] = (wa * a[k] + wb * b[k] + c[k] + d[k] + before[k]) + ghost[5] * e[k]
+
+
+@_inner
 def _iterate(
     rate: FloatArray,
     residual: FloatArray,
@@ -125,9 +294,8 @@ def _iterate(
     size: float,
     goal: float,
     work: FloatArray,
-    y: Float32Array,
+    single: Float32Array,
     uptake_shift: float,
-    room: Float32Array,
     fx: Float32Array,
     fy: Float32Array,
     fz: Float32Array,
@@ -135,19 +303,19 @@ def _iterate(
     ly: FloatArray,
     lz: FloatArray,
 ) -> int:
-    """Solve (-D L0 + rate) x = residual in one call: on few nodes calls take longer than the work.
+    """Solve (-D L0 + rate) x = residual by conjugate gradients; return the number of steps.
 
     - ``size``, ``goal``: of the residual's norm, and the square of the part of it to be left
-    - ``work``, (5, nodes): x first; ``y``, (nx, ny, nz)
+    - ``work``, (5, nodes) and more: x first; ``single``, (3, nodes)
     - ``uptake_shift``: the preconditioner's, over the mean of the rates
     """
-    x, r, p, q, scale = work[0], work[1], work[2], work[3], work[4]
-    direction, image, flat = p.reshape(rate.shape), q.reshape(rate.shape), y.reshape(y.size)
+    x, r, p, q, scale, flat = work[0], work[1], work[2], work[3], work[4], single[2]
+    direction, image, y = p.reshape(rate.shape), q.reshape(rate.shape), flat.reshape(rate.shape)
     rates, left = rate.reshape(rate.size), residual.reshape(rate.size)
     weight = None if varied is None else varied.reshape(rate.size)
     total = stencil.begin(rates, left, weight, 0.5 / stiffness, size, x, r, p, scale, flat)
     shift = uptake_shift * total / rate.size
-    rho, beta, steps = _invert(y, shift, room, fx, fy, fz, lx, ly, lz), 0.0, 0
+    rho, beta, steps = _invert(y, shift, single, fx, fy, fz, lx, ly, lz), 0.0, 0
     while steps < stencil.MAX_CG:
         stencil.new_direction(p, flat, scale, beta)
         curvature = stencil.apply_operator(direction, rate, stiffness, ghost, weights, image)
@@ -156,7 +324,7 @@ def _iterate(
         steps += 1
         if not stencil.update_residual(rho / curvature, x, p, r, q, scale, flat) > goal:
             break
-        following = _invert(y, shift, room, fx, fy, fz, lx, ly, lz)
+        following = _invert(y, shift, single, fx, fy, fz, lx, ly, lz)
         beta, rho = following / rho, following
     for n in range(x.size):
         x[n] *= size
@@ -175,7 +343,7 @@ def _invert(
     ly: FloatArray,
     lz: FloatArray,
 ) -> float:
-    """Do what :meth:`Inverse.overwrite` does, with ``room``, (2, nodes)."""
+    """Do what :meth:`Inverse.overwrite` does, with ``room``, (2, nodes) and more."""
     nx, ny, nz = y.shape
     u, a, b = y.reshape((nx, ny * nz)), room[0], room[1]
     ax, ay, az = a.reshape((nx, ny * nz)), a.reshape((ny, nx * nz)), a.reshape((nz, ny * nx))
@@ -253,26 +421,35 @@ def _product(f: Float32Array, x: Float32Array, y: Float32Array) -> None:
                 q[c] += b0 * x[i, c]
 
 
+# Flat arrays and unsigned numbers: the compiler would look for numbers that count from the end, and
+# takes ten times as long.
 @_inner
 def _swap(x: Float32Array, y: Float32Array) -> None:
     """Write ``x`` (n, m k) as (m, n k) to ``y``: the first two of three axes change places."""
     n, m = x.shape[0], y.shape[0]
     k = x.shape[1] // m
+    p, q = x.reshape(x.size), y.reshape(y.size)
     for i in range(n):
         for j in range(m):
+            a, b = (
+                p[(i * m + j) * k : (i * m + j + 1) * k],
+                q[(j * n + i) * k : (j * n + i + 1) * k],
+            )
             for c in range(k):
-                y[j, i * k + c] = x[i, j * k + c]
+                b[c] = a[c]
 
 
 @_inner
 def _turn(x: Float32Array, y: Float32Array) -> None:
     """Write the transpose of ``x`` to ``y``, in blocks that fit into the nearest memory."""
-    rows, columns = x.shape
-    for i in range(0, rows, 16):
-        for j in range(0, columns, 16):
-            for k in range(i, min(i + 16, rows)):
-                for m in range(j, min(j + 16, columns)):
-                    y[m, k] = x[k, m]
+    rows, columns = np.uint64(x.shape[0]), np.uint64(x.shape[1])
+    p, q = x.reshape(x.size), y.reshape(y.size)
+    for i in range(0, x.shape[0], 16):
+        first, number = np.uint64(i), np.uint64(min(16, x.shape[0] - i))
+        for j in range(columns):
+            a, b = first * columns + j, j * rows + first
+            for k in range(number):
+                q[b + k] = p[a + k * columns]
 
 
 @_inner

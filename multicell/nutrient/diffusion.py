@@ -112,7 +112,8 @@ class Diffusion:
                 found[2 * axis] = found[2 * axis + 1] = (0.0, stencil.REPEATS)
         self._has_slopes = any(factor == 1.0 for _, factor in found)
         self._sides = _sides(self.shape, *zip(*found, strict=True))
-        self.ghost, self.const = self._sides.ghost, self._sides.const
+        sides = self._sides
+        self.ghost, self.const, self.dense = sides.ghost, sides.const, sides.dense
         self._take_stiffness()
 
     def resized(self, box: Box, boundary: float | Mapping[str, Any]) -> Diffusion:
@@ -135,12 +136,13 @@ class Diffusion:
         brought = self._sides.brought
         brought = _brought(self.shape, self.const) if brought is None else brought
         self.source = brought * self.stiffness
-        halves = self._sides.halves
-        self.dense = dense.Inverse(halves, self.stiffness) if halves else None
 
-    def flows(self, c: FloatArray) -> tuple[float, float]:
-        """Return the flows in and out through the faces and to the medium, amol/s."""
-        inward, outward = stencil.flows(c, self.ghost, self.const, self.weights)
+    def flows(self, c: FloatArray, known: tuple[float, float] | None = None) -> tuple[float, float]:
+        """Return the flows in and out through the faces and to the medium, amol/s.
+
+        - ``known``: the result of :func:`.stencil.flows`
+        """
+        inward, outward = known or stencil.flows(c, self.ghost, self.const, self.weights)
         scale = self.stiffness * self.volumes
         inward, outward = scale * inward, scale * outward
         if self.exchange is not None:
@@ -157,7 +159,7 @@ class Diffusion:
         the memory of ``y``, and y . u.
         """
         if self.dense is not None and y.dtype == np.float32:
-            return y, self.dense.overwrite(y, shift)
+            return y, self.dense.overwrite(y, shift, self.stiffness)
         ax, ay, az = self.eigenvalues
         spectrum = _transform(y, self.kinds, inverse=False)
         product = stencil.divide_spectrum(spectrum, ax, ay, az, shift)
@@ -218,16 +220,14 @@ class _Sides(NamedTuple):
     - ``ghost``, ``const``: see :class:`Diffusion`
     - ``kinds``, (3,) of (bool, bool): of each axis which ends have values, the others have slopes;
       None where space repeats
-    - ``halves``, (3,) of (4, h, h), (n,): see :func:`multicell.nutrient.dense.halves`; empty for
-      grids that these do not suit
-    - ``brought``, (nx, ny, nz), mM: what nodes gain by ``const``, over D/h²; None on such large
-      grids
+    - ``dense``: the inverse on few nodes; None for grids that it does not suit
+    - ``brought``, (nx, ny, nz), mM: what nodes gain by ``const``, over D/h²; None on such grids
     """
 
     ghost: FloatArray
     const: FloatArray
     kinds: list[Ends]
-    halves: list[tuple[NDArray[np.float32], FloatArray]]
+    dense: dense.Inverse | None
     brought: FloatArray | None
 
 
@@ -242,14 +242,16 @@ def _sides(
         None if low == stencil.REPEATS else (bool(low < 0.0), bool(high < 0.0))
         for low, high in ghost.reshape(3, 2)
     ]
-    halves = []
+    inverse = None
     alike = all(ends is None or ends[0] == ends[1] for ends in kinds)
     if max(shape) <= dense.MAX_DENSE_NODES and alike:
-        halves = [
-            dense.halves(n, None if ends is None else ends[0])
-            for n, ends in zip(shape, kinds, strict=True)
-        ]
-    return _Sides(ghost, const, kinds, halves, _brought(shape, const) if halves else None)
+        inverse = dense.Inverse(
+            [
+                dense.halves(n, None if ends is None else ends[0])
+                for n, ends in zip(shape, kinds, strict=True)
+            ]
+        )
+    return _Sides(ghost, const, kinds, inverse, _brought(shape, const) if inverse else None)
 
 
 def _transform(y: NDArray[Any], kinds: Sequence[Ends], *, inverse: bool) -> NDArray[Any]:

@@ -40,7 +40,7 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, final
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, final
 
 import numpy as np
 
@@ -50,8 +50,11 @@ from multicell.errors import NutrientFailed
 from multicell.nutrient import stencil
 
 if TYPE_CHECKING:
+    from multicell.nutrient.dense import Inverse
     from multicell.nutrient.diffusion import Diffusion
     from multicell.nutrient.multigrid import MultigridSolver
+
+    Solver: TypeAlias = "_Linear | _Few | MultigridSolver"
 
 BALANCE_TOLERANCE = 1e-9
 """Bound on the sum of all nodes' imbalances, relative to the total uptake."""
@@ -145,10 +148,10 @@ def solve_steady(
     if few or repeats:
         problem = _Problem(operator, sink, half_saturation, linear, supply, None)
         if operator.exchange is None or repeats:
-            return _solve(problem, start, _Linear(operator))
+            return _solve(problem, start, _solver(operator))
         quickest = float(sink.max(initial=0.0)) / (half_saturation * operator.stiffness)
         if quickest > MAX_SINGLE:
-            return _solve(problem, start, _Linear(operator))
+            return _solve(problem, start, _solver(operator))
     from multicell.nutrient.multigrid import MultigridSolver
 
     if few:  # with imbalances in double precision, which have no least size to speak of
@@ -158,16 +161,18 @@ def solve_steady(
         return _solve(problem, start, MultigridSolver(operator, team))
 
 
-def _solve(
-    problem: _Problem, start: FloatArray, solver: _Linear | MultigridSolver
-) -> tuple[FloatArray, SolveReport]:
+def _solver(operator: Diffusion) -> Solver:
+    return _Linear(operator) if operator.dense is None else _Few(operator.dense)
+
+
+def _solve(problem: _Problem, start: FloatArray, solver: Solver) -> tuple[FloatArray, SolveReport]:
     """Solve, first as it is and then, where that fails, over larger half saturations."""
     if not np.count_nonzero(problem.source):
         # nothing comes in: what iterations from elsewhere would leave is rounding, of either sign
         start = np.zeros_like(start, dtype=np.float64)
     first = np.array(start, dtype=np.float64)
     problem.balance_ends(first)
-    state, done = _newton(_State(problem, first), problem.tolerance, solver)
+    state, done = _newton(problem, first, problem.tolerance, solver)
     if not done and np.isfinite(state.size):
         state, done = _descend(problem, start, solver)
     if done and not state.lift():
@@ -188,9 +193,12 @@ def _solve(
 
 
 def _newton(
-    state: _State, tolerance: float, linear: _Linear | MultigridSolver
+    problem: _Problem, c: FloatArray, tolerance: float, linear: Solver
 ) -> tuple[_State, bool]:
-    """Iterate from ``state``; return the last state and whether it is within the tolerance."""
+    """Iterate from ``c``; return the last state and whether it is within the tolerance."""
+    if isinstance(linear, _Few):
+        return linear.solve(problem, c, tolerance)
+    state = _State(problem, c)
     # far from the solution imbalances are larger than the uptake
     near = state.size * math.sqrt(state.c.size) < state.total
     trial, forcing = None, NEAR_FORCING if near else FORCING
@@ -207,9 +215,7 @@ def _newton(
     return state, state.size <= state.target(tolerance)
 
 
-def _descend(
-    problem: _Problem, start: FloatArray, linear: _Linear | MultigridSolver
-) -> tuple[_State, bool]:
+def _descend(problem: _Problem, start: FloatArray, linear: Solver) -> tuple[_State, bool]:
     """Solve with a large constant K first and then with ever smaller ones.
 
     Uptake that saturates at K far below the medium's value is close to a free-boundary problem:
@@ -218,9 +224,9 @@ def _descend(
     c = np.array(start, dtype=np.float64)
     half = float(np.max(np.abs(problem.source))) / problem.operator.stiffness
     while half > 2.0 * problem.half:
-        state, _ = _newton(_State(replace(problem, half=half), c), ROUGH, linear)
+        state, _ = _newton(replace(problem, half=half), c, ROUGH, linear)
         c, half = state.c, half / 4.0
-    return _newton(_State(problem, c), problem.tolerance, linear)
+    return _newton(problem, c, problem.tolerance, linear)
 
 
 @final
@@ -242,6 +248,11 @@ class _Problem:
         op = self.operator
         own = self.sink, self.source, self.half, op.stiffness, self.linear
         self.law: _Law = *own, op.ghost, op.weights, op.exchange, op.level
+        most = 1.0 if op.varied is None else float(op.varied.max())
+        # a sixth of the largest rate of a node, 1/s, but for the uptake's
+        quick = op.stiffness * max(most, 1.0) + self.linear / 6.0 + op.largest_exchange / 6.0
+        # error of the imbalance over the norm of a concentration
+        self.rounding = 8.0 * sys.float_info.epsilon * quick
 
     def balance_ends(self, c: FloatArray) -> None:
         """Improve a guess where a layer of medium ends; see :func:`.stencil.balance_ends`."""
@@ -254,24 +265,32 @@ class _Problem:
 
 @final
 class _State:
-    """A concentration with its imbalance, the derivative of uptake, and their norms."""
+    """A concentration with its imbalance, the derivative of uptake, and their norms.
 
-    def __init__(self, problem: _Problem, c: FloatArray) -> None:
+    - ``evaluate``: else somebody else brings all up to date
+    """
+
+    least: float | None = None  # of the concentrations, and sums of the balance, where known
+    sums: Sequence[tuple[float, float]] | None = None
+
+    def __init__(self, problem: _Problem, c: FloatArray, *, evaluate: bool = True) -> None:
         self.problem, self.c = problem, c
         # what the multigrid solver takes on is in single precision
         kind = np.float64 if problem.team is None else np.float32
         self.residual: stencil.Floats = np.empty(c.shape, kind)
         self.rate: stencil.Floats = np.empty(c.shape, kind)
-        self.evaluate()
+        if evaluate:
+            self.evaluate()
 
     def evaluate(self) -> None:
         """Bring all up to date with ``c``."""
+        self.sums = None
         team = self.problem.team
         if team is None:
             self.move(self.c, self.c, 0.0)
         else:
             law = self.problem.law
-            self._take(stencil.write_imbalance(self.c, *law, self.residual, self.rate, team))
+            self.take(stencil.write_imbalance(self.c, *law, self.residual, self.rate, team))
 
     def move(self, c: FloatArray, correction: stencil.Floats, share: float) -> float:
         """Become ``c`` and a share of a correction; return the imbalance's product with that."""
@@ -280,7 +299,7 @@ class _State:
             law, along = self.problem.law, np.asarray(correction, dtype=np.float64)
             own: tuple[Any, Any, Any] = self.c, self.residual, self.rate
             product, *sums = stencil.imbalance_there(c, along, share, *law, *own)
-            self._take(sums)
+            self.take(sums)
             return product
         from multicell.nutrient.multigrid_kernels import add_correction
 
@@ -289,7 +308,8 @@ class _State:
         self.evaluate()
         return self.along(correction)
 
-    def _take(self, sums: Sequence[float]) -> None:
+    def take(self, sums: Sequence[float]) -> None:
+        """Take the sums of :func:`.stencil.write_imbalance`."""
         squares, self.total, size, self.net, self.change = sums
         self.size, self.norm = math.sqrt(squares), math.sqrt(size)
 
@@ -305,7 +325,7 @@ class _State:
 
     def lift(self) -> bool:
         """Bring nodes left below zero to their own balance; return whether none is left."""
-        if not self.c.min(initial=0.0) < 0.0:
+        if not (self.c.min(initial=0.0) if self.least is None else self.least) < 0.0:
             return True
         left = stencil.balance_negative(self.c, *self.problem.law, self.uncertainty(), MAX_SWEEPS)
         self.evaluate()
@@ -319,16 +339,10 @@ class _State:
         concentrations by that part makes of them. Below the rounding error of the imbalance itself
         nothing can be asked.
         """
-        problem, varied = self.problem, self.problem.operator.varied
-        most = 1.0 if varied is None else float(varied.max())
-        # a sixth of the largest rate of a node, 1/s, but for the uptake's
-        quick = problem.operator.stiffness * max(most, 1.0) + problem.linear / 6.0
-        quick += problem.operator.largest_exchange / 6.0
-        rounding = 8.0 * sys.float_info.epsilon * quick * self.norm
         total = self.total
-        if problem.tolerance > BALANCE_TOLERANCE:
+        if self.problem.tolerance > BALANCE_TOLERANCE:
             total = min(total, self.change)
-        return max(tolerance * total / math.sqrt(self.c.size), rounding)
+        return max(tolerance * total / math.sqrt(self.c.size), self.problem.rounding * self.norm)
 
     def uncertainty(self) -> float:
         """Return the largest error of a concentration, mM, that the accepted imbalance allows.
@@ -358,11 +372,13 @@ class _State:
         vars(other).update(vars(self), c=np.empty_like(self.c))
         return other
 
-    def report(self, linear: _Linear | MultigridSolver) -> SolveReport:
+    def report(self, linear: Solver) -> SolveReport:
         """Return the balance."""
         problem, op = self.problem, self.problem.operator
-        left, taken = stencil.account(self.c, problem.sink, problem.half, self.residual)
-        inward, outward = op.flows(self.c)
+        amounts, flows = self.sums or (None, None)
+        if amounts is None:
+            amounts = stencil.account(self.c, problem.sink, problem.half, self.residual)
+        (left, taken), (inward, outward) = amounts, op.flows(self.c, flows)
         v = op.volumes
         return SolveReport(linear.newton, linear.cg, v * left, inward - outward, v * taken, outward)
 
@@ -381,6 +397,28 @@ def _search(state: _State, trial: _State, correction: stencil.Floats) -> None:
         if not there < -0.9 * slope:
             return
         share *= max(slope / (slope - there), 0.25)
+
+
+@final
+class _Few:
+    """Newton's method on few nodes, in one compiled call."""
+
+    def __init__(self, inverse: Inverse) -> None:
+        self._inverse, self.newton, self.cg = inverse, 0, 0
+
+    def solve(self, problem: _Problem, c: FloatArray, tolerance: float) -> tuple[_State, bool]:
+        """Do what :func:`_newton` does."""
+        state, op = _State(problem, c, evaluate=False), problem.operator
+        given = c, state.residual, state.rate, op.const, op.varied, tolerance, problem.rounding
+        done, newton, cg, sums, state.least, *state.sums = self._inverse.newton(
+            *given, *_SETTINGS, *problem.law
+        )
+        self.newton, self.cg = self.newton + newton, self.cg + cg
+        state.take(sums)
+        return state, done
+
+
+_SETTINGS = FORCING, NEAR_FORCING, MAX_NEWTON, MAX_BACKTRACKS, UPTAKE_SHIFT
 
 
 @final
@@ -403,12 +441,6 @@ class _Linear:
         if self.newton == 0:  # a field that is solved already needs no arrays
             self._work = np.empty((5, math.prod(shape)))
             self._single = np.empty(shape, dtype=np.float32)
-        if op.dense is not None:
-            system = rate, residual, op.varied, op.stiffness, op.ghost, op.weights
-            goals = size, goal**2, self._work, self._single
-            self.cg += op.dense.iterate(*system, *goals, UPTAKE_SHIFT)
-            self.newton += 1
-            return np.asarray(self._work[0].reshape(shape))
         x, r, p, q, scale = self._work
         varied = None if op.varied is None else op.varied.ravel()
         total = stencil.begin(

@@ -82,7 +82,7 @@ def _beyond(ghost: float, own: float, other: float) -> float:
 
 
 @_inner
-def _fill_row(p: FloatArray, ghost: FloatArray, i: int, j: int, row: FloatArray) -> None:
+def fill_row(p: FloatArray, ghost: FloatArray, i: int, j: int, row: FloatArray) -> None:
     """Write the sums of neighbours along the last axis to ``row``."""
     nx, ny, nz = p.shape
     e = p[i, j]
@@ -166,7 +166,7 @@ def apply_operator(
     for i in range(nx):
         for j in range(ny):
             if weights is None:
-                _fill_row(p, ghost, i, j, row)
+                fill_row(p, ghost, i, j, row)
             else:
                 _fill_varied(p, ghost, weights, i, j, row, diagonal)
             e, r, o = p[i, j], rate[i, j], out[i, j]
@@ -287,7 +287,7 @@ def imbalance_of_planes(
             squares, total, size, net, change = 0.0, 0.0, 0.0, 0.0, 0.0
         for j in range(ny):
             if weights is None:
-                _fill_row(c, ghost, i, j, row)
+                fill_row(c, ghost, i, j, row)
             else:
                 _fill_varied(c, ghost, weights, i, j, row, diagonal)
             e, most, brought = c[i, j], sink[i, j], source[i, j]
@@ -519,7 +519,7 @@ def flat_dot(a: Floats, b: Floats) -> float:
     return product
 
 
-@_jit
+@_both
 def flows(
     c: FloatArray, ghost: FloatArray, const: FloatArray, weights: Weights
 ) -> tuple[float, float]:
@@ -549,7 +549,7 @@ def flows(
     return inward, outward
 
 
-@_jit
+@_both
 def account(c: FloatArray, sink: FloatArray, half: float, residual: Floats) -> tuple[float, float]:
     """Return the sums over all nodes of the sizes of the residual and of uptake, mM/s.
 

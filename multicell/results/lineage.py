@@ -81,7 +81,7 @@ class Lineage:
 
     def died(self, cells: Cells, dead: NDArray[np.bool_], time: float) -> Lineage:
         """Return it with cells that have died by a time in s, each at its own, by identity."""
-        rows = np.flatnonzero(dead)
+        rows = dead.nonzero()[0]
         rows = rows[np.argsort(cells.id[rows])]
         return self._with("deaths", (cells.id[rows], time - cells.age[rows]))
 
@@ -89,7 +89,7 @@ class Lineage:
         """Return it with what changed between two populations: births, divisions and removals."""
         rows, there = after.rows_of(before.id), np.zeros(len(after) + 1, dtype=np.bool_)
         there[rows] = True  # the last entry stands for those that are gone
-        new, gone = np.flatnonzero(~there[:-1]), np.flatnonzero(rows < 0)
+        new, gone = (~there[:-1]).nonzero()[0], (rows < 0).nonzero()[0]
         parent, ids = after.parent[new], before.id[gone]
         born = self._with("births", (after.id[new], parent, after.kind[new], time))
         cause = np.where(rows_by_id(parent, ids) < 0, before.state[gone], _DIVIDED)

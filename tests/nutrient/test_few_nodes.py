@@ -22,7 +22,7 @@ def test_the_inverse_is_that_of_scipy(shape, values):
     y = rng.normal(size=shape).astype(np.float32)
     halves = [dense.halves(n, v) for n, v in zip(shape, values, strict=True)]
     u = y.copy()
-    product = dense.Inverse(halves, 0.7).overwrite(u, 0.2)
+    product = dense.Inverse(halves).overwrite(u, 0.2, 0.7)
     spectrum = y.astype(float)
     for axis, v in enumerate(values):
         spectrum = (fft.dst if v else fft.dct)(spectrum, type=2, axis=axis, norm="ortho")

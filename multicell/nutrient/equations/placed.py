@@ -271,7 +271,8 @@ class PlacedSubstance:
             supply, linear = before / dt + supply, linear + 1.0 / dt
         operator, given = self.at(level), (self.sink, self.substance.half_saturation, start)
         if before is None and isinstance(operator, Diffusion):
-            return operator.solve(*given, linear=linear, supply=supply, tolerance=self.tolerance)
+            own = None if self._production == 0.0 == self.substance.perfusion * level else supply
+            return operator.solve(*given, linear=linear, supply=own, tolerance=self.tolerance)
         return operator.solve(*given, linear=linear, supply=supply)
 
     def flows(self, c: FloatArray, level: float, made: FloatArray | None = None) -> SolveReport:
