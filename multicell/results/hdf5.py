@@ -291,9 +291,7 @@ def _tables(
 ) -> Iterator[tuple[str, DatasetKind, NDArray[Any]]]:
     """Yield path, kind and rows of the data sets that hold columns."""
     stored = stored_sets({path: sets[path] for path in columns})
-    tables = {
-        path: np.empty(0, kind.dtype) for path, kind in stored.items() if path not in columns
-    }
+    tables = {path: np.empty(0, kind.dtype) for path, kind in stored.items() if path not in columns}
     for path, rows in columns.items():
         table, field = column_place(path)
         if field:

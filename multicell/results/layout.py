@@ -34,7 +34,7 @@ class DatasetKind(NamedTuple):
     """The kind of a data set: one row for each frame, or ``pool`` rows in all.
 
     The pools ``frames`` and ``ends`` have one row for each frame and one more; any other is the
-    path of the column of offsets whose last entry is its length. A table has the unit of each field.
+    path of the column of offsets whose last entry is its length. A table has several units.
     """
 
     dtype: Any
