@@ -337,7 +337,7 @@ def to_json(value: Any) -> str:
 
 
 def json_text(plain: Any) -> str:
-    """Return what :func:`plain_json` has returned as a text for people."""
+    """Return a value of :func:`plain_json` as indented text."""
     return json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False)
 
 

@@ -129,7 +129,7 @@ _LIBVER: Final = ("v110", "v110")  # the first in which all of a file's structur
 _BATCH: Final = 1 << 23  # bytes that are collected before they are written
 _AHEAD: Final = 1 << 19  # bytes of a data set that are read back at once
 _LEVEL: Final = 4  # of gzip; 1 would take 15 % less time and 1 % more room
-_COMPACT: Final = 1024  # bytes of a data set that are part of its header
+_COMPACT: Final = 4096  # bytes of a data set that are part of its header
 
 
 def write_hdf5(
@@ -647,7 +647,7 @@ class _Columns:
         if found is None and self._tables and column_place(path)[1]:
             table = column_place(path)[0]
             rows = self.whole(table)
-            for field in rows.dtype.names:
+            for field in rows.dtype.names or ():
                 column = f"{field}/offset" if table == "offsets" else f"{table}/{field}"
                 self._known[column] = np.ascontiguousarray(rows[field])
             found = self._known[path]
@@ -745,7 +745,7 @@ class File:
             if not own:
                 _check_links(path, file, 2)
             self.nutrients = tuple(sorted(_names(h5py.h5g.open(file.id, b"fields"))))
-            self.columns = ()
+            self.columns: tuple[str, ...] = ()
             if file.id.links.exists(b"history"):
                 history = h5py.h5o.open(file.id, b"history")
                 self.columns = _names(history.get_type() if self._tables else history)
