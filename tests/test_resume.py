@@ -213,7 +213,7 @@ def test_what_cannot_be_resumed_is_refused_with_words(tmp_path):
     with pytest.raises(OutputError, match="result format 3"):
         mc.resume(folder, 0)
     with h5py.File(folder / "frames.h5", "r+") as file:
-        file.attrs["format"] = 5
+        file.attrs["format"] = 6
     assert contents(folder) == before
 
 

@@ -53,8 +53,8 @@ def test_a_run_leaves_scene_frames_summary_and_report(folder):
 
 def test_frames_are_flat_arrays_with_offsets(folder):
     with h5py.File(folder / "frames.h5") as file:
-        assert file["frames/time"][:].tolist() == [0.0, 600.0, 1200.0, 1800.0]
-        offset = file["frames/offset"][:]
+        assert file["frames"]["time"].tolist() == [0.0, 600.0, 1200.0, 1800.0]
+        offset = file["offsets"]["frames"]
         assert offset.tolist() == [0, 20, 40, 60, 80]
         assert set(file["cells/id"][60:80]) == set(range(20))
         assert file["cells/position"].shape == (80, 3)

@@ -16,7 +16,7 @@ from typing import Any, Final, final
 from multicell.errors import OutputError
 from multicell.host.files import read_regular
 from multicell.host.interrupts import UNCUT
-from multicell.results.folder import file_errors, to_json, write_text
+from multicell.results.folder import file_errors, json_text, plain_json, write_text
 from multicell.results.records import parse_table
 
 _CHECKSUM: Final = "checksum"
@@ -31,8 +31,9 @@ def _checksum(table: Mapping[str, Any]) -> str:
 
 def write_table(path: Path, table: Mapping[str, Any]) -> None:
     """Write a table with its checksum, so that the file is either the old one or complete."""
-    plain: dict[str, Any] = json.loads(to_json(table))
-    write_text(path, to_json({**plain, _CHECKSUM: _checksum(plain)}) + "\n")
+    plain = plain_json(table)
+    text = json_text({**plain, _CHECKSUM: _checksum(plain)})
+    write_text(path, text + "\n")
 
 
 def read_document(path: Path) -> dict[str, Any] | None:

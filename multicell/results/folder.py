@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import glob
 import json
+import math
 import os
 import re
 import sys
@@ -313,24 +314,31 @@ def write_text(path: Path, text: str, *, synced: bool = True) -> None:
     write_bytes(path, text.encode("utf-8"), synced=synced)
 
 
-def _plain(value: Any) -> Any:
+def plain_json(value: Any) -> Any:
     """Return a value as JSON can hold it; JSON knows no NaN or infinity, they become null."""
+    if isinstance(value, str):
+        return value
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain_json(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
+        return plain_json(value.tolist())
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain_json(item) for item in value]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, Path):
         return str(value)
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def to_json(value: Any) -> str:
     """Return strict JSON; NumPy values become plain ones, NaN and infinity become null."""
-    return json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False)
+    return json_text(plain_json(value))
+
+
+def json_text(plain: Any) -> str:
+    """Return a value of :func:`plain_json` as indented text."""
+    return json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False)
 
 
 def with_copy(scene: Scene, folder: Path) -> Scene:

@@ -30,12 +30,15 @@ from multicell.errors import OutputError
 from multicell.results.folder import Check, file_errors, package_version, replace_file
 from multicell.results.journal import array_digest
 from multicell.results.layout import (
+    FORMAT_WITHOUT_TABLES,
     FRAMES_FORMAT,
     DatasetKind,
+    column_place,
     frame_rows,
     layout,
     of_rows,
     read_frame,
+    stored_sets,
 )
 from multicell.results.lineage import LINEAGE_COLUMNS
 from multicell.results.quantities import known_unit
@@ -126,7 +129,7 @@ _LIBVER: Final = ("v110", "v110")  # the first in which all of a file's structur
 _BATCH: Final = 1 << 23  # bytes that are collected before they are written
 _AHEAD: Final = 1 << 19  # bytes of a data set that are read back at once
 _LEVEL: Final = 4  # of gzip; 1 would take 15 % less time and 1 % more room
-_COMPACT: Final = 1024  # bytes of a data set that are part of its header
+_COMPACT: Final = 4096  # bytes of a data set that are part of its header
 
 
 def write_hdf5(
@@ -242,11 +245,11 @@ def _fill(
     for frame in frames:
         log.add(*frame)
     log.flush(last=True)
-    group = target.create_group("history")
-    for name, column in history.items():
-        kind = of_rows("<f8", known_unit(name))
-        _create(group, name, kind, np.asarray(column, "<f8"))
-    _describe(group, digest=np.uint32(array_digest(dict(sorted(history.items())))))
+    if rows := {f"history/{name}": np.asarray(history[name], "<f8") for name in sorted(history)}:
+        units = {path: of_rows("<f8", known_unit(path.partition("/")[2])) for path in rows}
+        ((path, kind, table),) = _tables(units, rows)
+        digest = np.uint32(array_digest({name: history[name] for name in sorted(history)}))
+        _attach(_create(target, path, kind, table), "digest", digest)
     shared = {path: np.concatenate(pieces) for path, pieces in log.shared.items()}
     _describe(
         target,
@@ -283,9 +286,25 @@ _space = lru_cache(maxsize=256)(h5py.h5s.create_simple)
 _unit = cache(partial(np.array, dtype=_TEXT))
 
 
+def _tables(
+    sets: Mapping[str, DatasetKind], columns: Mapping[str, NDArray[Any]]
+) -> Iterator[tuple[str, DatasetKind, NDArray[Any]]]:
+    """Yield path, kind and rows of the data sets that hold columns."""
+    stored = stored_sets({path: sets[path] for path in columns})
+    tables = {path: np.empty(0, kind.dtype) for path, kind in stored.items() if path not in columns}
+    for path, rows in columns.items():
+        table, field = column_place(path)
+        if field:
+            if len(tables[table]) != len(rows):
+                tables[table] = np.empty(len(rows), stored[table].dtype)
+            tables[table][field] = rows
+    for path, kind in stored.items():
+        yield path, kind, columns[path] if path in columns else tables[path]
+
+
 def _create(
     target: Any, path: str, kind: DatasetKind, rows: NDArray[Any], *, grows: bool = False
-) -> None:
+) -> Any:
     """Create a data set with its rows, the first ones where it ``grows``, and its unit."""
     chunks: tuple[int, ...] = (kind.chunk, *rows.shape[1:])
     longest = (h5py.h5s.UNLIMITED, *rows.shape[1:])
@@ -297,11 +316,13 @@ def _create(
         whole = h5py.h5s.ALL
         column.write(whole, whole, np.ascontiguousarray(rows), _type(rows.dtype))
     _attach(column, "unit", _unit(kind.unit))
+    return column
 
 
 def _attach(owner: Any, name: str, value: Any) -> None:
-    """Give one of h5py's inner objects a scalar attribute."""
-    made = h5py.h5a.create(owner, name.encode(), _type(value.dtype, logical=True), _SCALAR)
+    """Give one of h5py's inner objects an attribute, a number or a row of them."""
+    space = _space(value.shape) if value.ndim else _SCALAR
+    made = h5py.h5a.create(owner, name.encode(), _type(value.dtype, logical=True), space)
     made.write(np.asarray(value), _type(value.dtype))
 
 
@@ -364,10 +385,9 @@ class _Log:
 
     def flush(self, *, last: bool = False) -> None:
         """Hand what was collected to HDF5; behind the ``last`` of it comes no more."""
-        for path, kind in self._sets.items():
-            if not (pieces := self._pieces[path]):
-                continue
-            rows = np.concatenate(pieces)
+        begun = [path for path in self._sets if self._pieces[path]]
+        columns = {path: np.concatenate(self._pieces[path]) for path in begun}
+        for path, kind, rows in _tables(self._sets, columns):
             if path in self._made:
                 column = self._target[path]
                 column.resize(len(column) + len(rows), axis=0)
@@ -375,9 +395,10 @@ class _Log:
             else:
                 _create(self._target, path, kind, rows, grows=not last)
                 self._made.add(path)
+        for path, rows in columns.items():
             if path in self.shared:
                 self.shared[path].append(rows)
-            pieces.clear()
+            self._pieces[path].clear()
         self._size = 0
         self._sink.check()
 
@@ -519,13 +540,14 @@ def check_readable(path: Path) -> None:
                         entry[begin : begin + batch]
 
 
-def _check_format(path: Path, file: Any) -> None:
+def _check_format(path: Path, file: Any) -> bool:
+    """Refuse a file of another format; return whether it has tables."""
     written = file.attrs.get("format", 0)
-    if not np.array_equal(written, FRAMES_FORMAT):
-        problem = (
-            f"'{path}' has result format {written}; this multicell reads format {FRAMES_FORMAT}"
-        )
-        raise OutputError(problem)
+    for known in (FRAMES_FORMAT, FORMAT_WITHOUT_TABLES):
+        if np.array_equal(written, known):
+            return known == FRAMES_FORMAT
+    problem = f"'{path}' has result format {written}; this multicell reads formats "
+    raise OutputError(f"{problem}{FORMAT_WITHOUT_TABLES} and {FRAMES_FORMAT}")
 
 
 def _check_links(path: Path, group: Any, depth: int) -> None:
@@ -597,15 +619,22 @@ class _Columns:
 
     HDF5 takes as long to find a few rows as to read many, and h5py's objects longer than either.
 
+    - ``tables``: whether the file has tables, which are read as a whole
     - ``ahead``: bytes of a data set that are read at once
     - ``sets``: kinds of data sets by path, of which only the types are asked for
+    - ``known``: columns that need not be read
     """
 
     def __init__(
-        self, file: Any, ahead: int = _AHEAD, sets: Mapping[str, DatasetKind] = MappingProxyType({})
+        self,
+        file: Any,
+        tables: bool,
+        ahead: int = _AHEAD,
+        sets: Mapping[str, DatasetKind] = MappingProxyType({}),
+        known: Mapping[str, NDArray[Any]] = MappingProxyType({}),
     ) -> None:
-        self._file, self._ahead, self._sets = file.id, ahead, sets
-        self._known: dict[str, _Column | NDArray[Any]] = {}
+        self._file, self._tables, self._ahead, self._sets = file.id, tables, ahead, sets
+        self._known: dict[str, _Column | NDArray[Any]] = {**known}
         self._there: dict[str, bool] = {}
 
     def __contains__(self, path: str) -> bool:
@@ -615,6 +644,13 @@ class _Columns:
 
     def __getitem__(self, path: str) -> _Column | NDArray[Any]:
         found = self._known.get(path)
+        if found is None and self._tables and column_place(path)[1]:
+            table = column_place(path)[0]
+            rows = self.whole(table)
+            for field in rows.dtype.names or ():
+                column = f"{field}/offset" if table == "offsets" else f"{table}/{field}"
+                self._known[column] = np.ascontiguousarray(rows[field])
+            found = self._known[path]
         if found is None:
             rows = h5py.h5d.open(self._file, path.encode())
             shape = rows.shape
@@ -673,6 +709,13 @@ class _Column:
         return self._read(0, len(self))
 
 
+def _names(inner: Any) -> tuple[str, ...]:
+    """Return the names in a group, or of the fields of a table's type, by h5py's inner objects."""
+    if isinstance(inner, h5py.h5g.GroupID):
+        return tuple(name.decode() for name in inner)
+    return tuple(inner.get_member_name(k).decode() for k in range(inner.get_nmembers()))
+
+
 def _attribute(owner: Any, name: str) -> Any:
     """Return an attribute of one of h5py's objects, in a tenth of the time that these take."""
     found = h5py.h5a.open(owner.id, name.encode())
@@ -698,16 +741,20 @@ class File:
     def __init__(self, path: Path, *, own: bool = False) -> None:
         self.path, self._image = path, _unmarked(path)
         with _open_file(path, self._image) as file:
-            _check_format(path, file)
+            self._tables = own or _check_format(path, file)
             if not own:
                 _check_links(path, file, 2)
-            self.nutrients = tuple(sorted(file["fields"]))
-            self.columns = tuple(file["history"])
+            self.nutrients = tuple(sorted(_names(h5py.h5g.open(file.id, b"fields"))))
+            self.columns: tuple[str, ...] = ()
+            if file.id.links.exists(b"history"):
+                history = h5py.h5o.open(file.id, b"history")
+                self.columns = _names(history.get_type() if self._tables else history)
             known = layout(self.nutrients)
             sets = {f"history/{name}": of_rows("<f8") for name in self.columns}
             sets |= {"scene": of_rows("|u1"), **known}
+            sets = stored_sets(sets) if self._tables else sets
             lengths = {} if own else _check_sets(path, file, sets)
-            columns = _Columns(file, sets=sets)
+            columns = _Columns(file, self._tables, sets=sets)
             shared = {name: columns.whole(name) for name in ("scene", *_shared(known))}
             if array_digest(shared) != int(_attribute(file, "digest")):
                 problem = "its scene, index or lineage is not what was written"
@@ -738,11 +785,11 @@ class File:
     def history(self) -> dict[str, NDArray[np.float64]]:
         """Return the history by column, (m,) each."""
         with self._again() as file:
-            return self._history(file, _Columns(file))
+            return self._history(file, _Columns(file, self._tables))
 
     def _history(self, file: Any, columns: _Columns) -> dict[str, NDArray[np.float64]]:
         found = {name: columns.whole(f"history/{name}") for name in self.columns}
-        if array_digest(found) != int(_attribute(file["history"], "digest")):
+        if found and array_digest(found) != int(_attribute(file["history"], "digest")):
             problem = f"the history in '{self.path}' is not what was written"
             raise OutputError(problem, damaged=True)
         return found
@@ -752,12 +799,13 @@ class File:
         if frames := _frames_of(self):
             return {path: array.copy() for path, array in frames[place].items()}
         with self._again() as file:
-            return self._frame(_Columns(file, ahead=0), place)
+            known = {"frames/time": self.times, "frames/step": self.steps}
+            return self._frame(_Columns(file, self._tables, ahead=0, known=known), place)
 
     def check(self) -> None:
         """Read all of it once; raises OutputError if something is not what was written."""
         with self._again() as file:
-            self._all(file, _Columns(file))
+            self._all(file, _Columns(file, self._tables))
 
     def take_frames(self) -> list[Arrays]:
         """Return the frames as they were read back, and forget them; none if they are many."""

@@ -1,13 +1,15 @@
 """The data sets of ``frames.h5``: type, shape, unit and rows of each; frames as such, and back.
 
-Each array of a frame is a data set of its own, under the path that it has in a journal. Only the
-fields are coded (:mod:`multicell.results.coding`).
+Each array of a frame is a column, under the path that it has in a journal. What grows with cells,
+contacts and nodes is a data set of its own; other columns of as many rows share a table
+(:func:`column_place`), since HDF5 takes as long to create or open a small data set as to write or
+read ten thousand numbers. Only the fields are coded (:mod:`multicell.results.coding`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from functools import cache
+from functools import cache, lru_cache
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple, final
 
@@ -20,7 +22,8 @@ from multicell.results.coding import decode, encode
 from multicell.results.lineage import LINEAGE_COLUMNS
 from multicell.results.records import FIELD_ARRAYS, SPARSE, UNIT, Arrays, without_zeros
 
-FRAMES_FORMAT: Final = 5  # number of the layout that :mod:`multicell.results.writer` describes
+FRAMES_FORMAT: Final = 6  # number of the layout that :mod:`multicell.results.writer` describes
+FORMAT_WITHOUT_TABLES: Final = 5  # in which every column is a data set; it is read, too
 _LONG: Final = 8192  # rows in a chunk of what grows with cells and nodes: 64 kB for a number each
 _MIDDLE: Final = 4096  # ... of logs and texts
 _SHORT: Final = 256  # ... of what has one row for each frame
@@ -31,13 +34,13 @@ class DatasetKind(NamedTuple):
     """The kind of a data set: one row for each frame, or ``pool`` rows in all.
 
     The pools ``frames`` and ``ends`` have one row for each frame and one more; any other is the
-    path of the data set of offsets whose last entry is its length.
+    path of the column of offsets whose last entry is its length. A table has several units.
     """
 
     dtype: Any
     width: int | None
     pool: str
-    unit: str = ""
+    unit: str | tuple[str, ...] = ""
     chunk: int = _SHORT
 
     def shape(self, array: Any) -> tuple[int, ...]:
@@ -96,6 +99,37 @@ def _layout(nutrients: tuple[str, ...]) -> Mapping[str, DatasetKind]:
 def of_rows(dtype: str, unit: str = "") -> DatasetKind:
     """Return the kind of a data set of its own length: the scene, the history."""
     return DatasetKind(dtype, None, "", unit, _MIDDLE)
+
+
+def column_place(path: str) -> tuple[str, str]:
+    """Return the path of a column's table and its field there; of other columns ``""`` for that."""
+    group, _, name = path.rpartition("/")
+    if name == "offset":
+        return "offsets", group
+    alone = group not in ("frames", "history") and not group.startswith("lineage/")
+    return (path, "") if alone else (group, name)
+
+
+def stored_sets(sets: Mapping[str, DatasetKind]) -> dict[str, DatasetKind]:
+    """Return the kinds of data sets that hold columns of some kinds, by path."""
+    return dict(_stored_sets(tuple(sets.items())))
+
+
+@lru_cache(maxsize=64)
+def _stored_sets(sets: tuple[tuple[str, DatasetKind], ...]) -> Mapping[str, DatasetKind]:
+    found: dict[str, DatasetKind] = {}
+    tables: dict[str, list[tuple[str, DatasetKind]]] = {}
+    for path, kind in sets:
+        table, field = column_place(path)
+        if field:
+            tables.setdefault(table, []).append((field, kind))
+        else:
+            found[path] = kind
+    for table, fields in tables.items():
+        kind, units = fields[0][1], tuple(str(k.unit) for _, k in fields)
+        dtype = np.dtype([(field, k.dtype) for field, k in fields])
+        found[table] = kind._replace(dtype=dtype, unit=units)
+    return found
 
 
 Ends = Mapping[str, NDArray[np.int64]]  # path of a data set of offsets -> its values, (k + 1,)

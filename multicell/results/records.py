@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
@@ -65,7 +64,7 @@ _OF_PARTS: Final = (
 def arrays_of(frame: Frame, nutrients: Iterable[str]) -> Arrays:
     """Return a frame as arrays, always in the same order."""
     names = sorted(nutrients)
-    noted = {} if frame.progress is None else asdict(frame.progress)
+    noted = {} if frame.progress is None else vars(frame.progress)
     noted = {name: x for name, x in noted.items() if x or name not in _OF_PARTS}
     text = json.dumps(noted).encode() if noted else b""
     arrays = {"time": np.array(frame.time, "<f8"), "step": np.array(frame.step, "<i8")}

@@ -10,32 +10,35 @@ there. If there is no room for it the journal stays, and is read, resumed and ex
 A run that is resumed leaves ``frames.h5`` as it is and begins a journal that says from which frame
 on it counts.
 
-Layout of ``frames.h5`` for k frames and m history rows::
+Layout of ``frames.h5`` for k frames and m history rows; a table is a data set with fields::
 
     /cells/<column>                  all columns of cells, all frames one after another, with a
                                      ``unit``; concentration_<nutrient> in mM; doomed and
                                      damage only where a cell of any frame has some
-    /frames/offset (k + 1)           frame j owns the rows offset[j] ... offset[j + 1] - 1
-    /frames/time, /frames/step (k)
-    /frames/digest (k)               CRC-32 of all that a frame holds
+    /frames (k)                      table: time, step, digest (CRC-32 of all that a frame holds)
+    /offsets (k + 1)                 table: frame j owns the rows of cells from field ``frames`` of
+                                     row j up to that of row j + 1; of what follows likewise, by
+                                     fields ``contacts``, ``progress``, ``lineage/<log>`` and
+                                     ``fields/<nutrient>``
     /fields/<nutrient>/coded         grids one after another in C order, as differences from the
                                      prediction of a stencil (:mod:`multicell.results.coding`)
     /fields/<nutrient>/faces (k, 6)  what holds at the faces, for the same stencil
-    /fields/<nutrient>/offset (k + 1), shape (k, 3), origin (k, 3), spacing, height, radial (k)
+    /fields/<nutrient>/shape (k, 3), origin (k, 3), spacing, height, radial (k)
     /contacts/pair (., 2)            identities of pairs in contact, where the law remembers them
-    /contacts/offset (k + 1)
-    /progress/text, /progress/offset (k + 1)   JSON: what else a run needs to be resumed
-    /lineage/<log>/<column>          logs of births, deaths and ends up to the last frame
-    /lineage/<log>/offset (k + 1)
-    /history/<column> (m)
+    /progress/text                   JSON: what else a run needs to be resumed
+    /lineage/<log>                   tables: births, deaths and ends up to the last frame
+    /history (m)                     table: a field for each observable
     /scene                           bytes of ``scene.toml``
+
+The ``unit`` of a table is a list, one for each field. Format 5, which is read too, has a group in
+place of each table and a data set for each field; that of offsets is ``offset`` in its group.
 
 Large data sets are compressed by filters that every HDF5 has (shuffle, gzip), small ones are part
 of their headers. A frame is compared with its checksum whenever it is read.
 
 It is an ordinary file without links to others: h5py, pandas and xarray open it, and a copy of it is
 complete. The attributes ``identity`` and ``absorbed`` distinguish it from its journals, ``digest``
-(of the file and of the history) are the checksums of what belongs to no single frame.
+(of the file and of its history) are the checksums of what belongs to no single frame.
 """
 
 from __future__ import annotations

@@ -156,7 +156,7 @@ def _edit(folder, rng):
             size = {"shrink": rng.randrange(rows + 1), "grow": rows + 5, "huge": 1 << 55}[way]
             stretch(file, name, size)
         elif way == "type":
-            _put(file, name, file[name][()].astype(rng.choice(["<f4", ">f8", "<i4", "S3"])))
+            _put(file, name, _other_type(file[name][()], rng))
         elif way == "width":
             _put(file, name, np.zeros((len(file[name]), 2, 2)))
         elif way in ("soft", "external", "loop"):
@@ -175,15 +175,16 @@ def _edit(folder, rng):
             del file.attrs[key]
             name = f"attribute {key}"
         elif way == "index":
-            name = rng.choice([n for n in sets if n.endswith(("offset", "shape"))])
+            name = rng.choice([n for n in sets if n.endswith(("offsets", "shape"))])
             values = file[name][()]
             values[rng.randrange(len(values))] = rng.choice([-1, 0, 7, 1 << 40, -(1 << 62)])
             file[name][...] = values
         elif way == "state":
-            codes = ["cells/state", "cells/phase", "cells/kind", "lineage/ends/cause"]
-            name = rng.choice(codes)
-            if len(file[name]):
-                file[name][rng.randrange(len(file[name]))] = rng.choice([-5, 9, 77, 127])
+            name = rng.choice(["cells/state", "cells/phase", "cells/kind", "lineage/ends"])
+            if len(values := file[name][()]):
+                codes = values["cause"] if values.dtype.names else values
+                codes[rng.randrange(len(codes))] = rng.choice([-5, 9, 77, 127])
+                file[name][...] = values
     return f"{way} {name}"
 
 
@@ -191,10 +192,22 @@ def _other_value(column, rng):
     """Change one number by so little that only a checksum can tell."""
     if column.size:
         values = column[()]
-        place = rng.randrange(values.size)
-        flat = values.reshape(-1).view(np.uint8)
-        flat[place * values.itemsize] ^= 1
+        fields = [offset for _, offset in (values.dtype.fields or {"": (0, 0)}).values()]
+        place = rng.randrange(values.size) * values.itemsize + rng.choice(fields)
+        values.reshape(-1).view(np.uint8)[place] ^= 1
         column[...] = values
+
+
+def _other_type(values, rng):
+    """Return values of another type; of a table one column has it."""
+    kind = rng.choice(["<f4", ">f8", "<i4", "S3"])
+    if not values.dtype.names:
+        return values.astype(kind)
+    name = rng.choice(values.dtype.names)
+    kinds = [
+        (field, kind if field == name else values.dtype[field]) for field in values.dtype.names
+    ]
+    return values.astype(kinds)
 
 
 def _put(file, name, values):

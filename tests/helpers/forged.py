@@ -144,7 +144,7 @@ def resize(file, rng):
     for name in chosen:
         stretch(file, name, rows)
     if rows <= 10**5:
-        columns = {name: file["history"][name][()] for name in file["history"]}
+        columns = {name: file["history"][name] for name in file["history"].dtype.names}
         file["history"].attrs["digest"] = np.uint32(array_digest(columns))
     return f"{chosen} resized to {rows}"
 

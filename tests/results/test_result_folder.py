@@ -22,6 +22,7 @@ from multicell.report.plots.run import PICTURES
 from multicell.results import folder as folder_module
 from multicell.results.folder import LOCK, write_text
 from multicell.results.reader import Contents, Frames
+from multicell.results.records import arrays_of
 from multicell.results.writer import Store
 
 QUICK = {"duration": "4 min", "output.every": "1 min", "initial.count": 12}
@@ -37,9 +38,9 @@ def test_h5py_pandas_and_xarray_open_the_file(tmp_path):
     count = sum(len(frame.cells) for frame in frames)
     with h5py.File(path) as file:
         radius = file["cells/radius"][()]
-        offset = file["frames/offset"][()]
+        offset = file["offsets"]["frames"]
         table = pd.DataFrame({name: file["cells"][name][()] for name in ("id", "radius", "state")})
-        history = pd.DataFrame({name: column[()] for name, column in file["history"].items()})
+        history = pd.DataFrame(file["history"][()])
         scene = tomllib.loads(file["scene"][()].tobytes().decode())
     assert mc.Scene.from_dict(scene) == SCENE
     assert len(table) == count
@@ -51,8 +52,54 @@ def test_h5py_pandas_and_xarray_open_the_file(tmp_path):
         assert cells["radius"].attrs["unit"] == "um"
         np.testing.assert_array_equal(cells["radius"].values, radius)
         assert cells["position"].shape == (count, 3)
-    with xr.open_dataset(path, group="history", engine="h5netcdf", phony_dims="sort") as rows:
-        np.testing.assert_array_equal(rows["cells"].values, history["cells"])
+    with xr.open_dataset(path, engine="h5netcdf", phony_dims="sort") as tables:
+        np.testing.assert_array_equal(tables["history"].values["cells"], history["cells"])
+
+
+def without_tables(path):
+    """Write a file in the layout of format 5: each column of a table is a data set."""
+    with h5py.File(path, "r+") as file:
+        digest = file["history"].attrs["digest"]
+        logs = [f"lineage/{log}" for log in file["lineage"]]
+        tables = ("frames", "history", *logs, "offsets")
+        for name in tables:
+            table, units = file[name][()], file[name].attrs["unit"]
+            del file[name]
+            for field, unit in zip(table.dtype.names, units, strict=True):
+                column = f"{field}/offset" if name == "offsets" else f"{name}/{field}"
+                file[column] = table[field]
+                file[column].attrs["unit"] = unit
+        file["history"].attrs["digest"] = digest
+        file.attrs["format"] = 5
+        return [*file["frames"], *file["lineage/births"]]
+
+
+def test_files_without_tables_are_read_and_resumed(tmp_path):
+    new, old = tmp_path / "new", tmp_path / "old"
+    scene = mc.load_scene("spheroid").with_changes(
+        {"initial.count": 40, "initial.stage": "asynchronous", "duration": "40 min",
+         "output.every": "10 min"})  # fmt: skip
+    mc.run(scene, output=new, report=False, threads=1)
+    shutil.copytree(new, old)
+    columns = ["digest", "offset", "step", "time", "id", "kind", "offset", "parent", "time"]
+    assert without_tables(old / "frames.h5") == columns
+    one, other = mc.load_result(new), mc.load_result(old)
+    assert len(one.frames) == len(other.frames) == 5
+    for frame, same in zip(one.frames, other.frames, strict=True):
+        np.testing.assert_equal(arrays_of(frame, ["oxygen"]), arrays_of(same, ["oxygen"]))
+    np.testing.assert_equal(dict(one.history), dict(other.history))
+    np.testing.assert_equal(one.lineage, other.lineage)
+    with h5py.File(old / "frames.h5", "r+") as file:
+        file["history/radius"][1] += 1.0
+    with pytest.raises(OutputError, match=r"the history in .* is not what was written"):
+        dict(mc.load_result(old).history)
+    shutil.copytree(new, old, dirs_exist_ok=True)
+    without_tables(old / "frames.h5")
+    for folder in (new, old):
+        mc.resume(folder, changes={"duration": "1 h"}, report=False, threads=1)
+    one, other = mc.load_result(new).frames, mc.load_result(old).frames
+    assert len(one) == len(other) == 7
+    assert one[6].cells.position.tobytes() == other[6].cells.position.tobytes()
 
 
 def test_journal_and_file_read_the_same(tmp_path):
@@ -263,7 +310,7 @@ def test_damage_says_what_can_still_be_read(tmp_path):
     with h5py.File(folder / "frames.h5") as file:
         chunk = file["cells/position"].id.get_chunk_info(1)
         rows = file["cells/position"].chunks[0]
-        first = int(np.searchsorted(file["frames/offset"][()], rows, side="right")) - 1
+        first = int(np.searchsorted(file["offsets"]["frames"], rows, side="right")) - 1
     data[chunk.byte_offset + 100] ^= 1
     (folder / "frames.h5").write_bytes(data)
     result = mc.load_result(folder)

@@ -96,13 +96,14 @@ def test_folder_holds_the_scene_and_the_file_its_units(tmp_path):
     written(tmp_path / "out", [spheroid(30)])
     assert load_scene(tmp_path / "out" / "scene.toml") == SCENE
     with h5py.File(tmp_path / "out" / "frames.h5") as file:
-        assert file.attrs["format"] == 5
+        assert file.attrs["format"] == 6
         assert file.attrs["multicell"] == multicell.__version__
         units = {name: column.attrs["unit"] for name, column in file["cells"].items()}
         for name, spec in Cells.schema().items():
             if f"cells/{name}" not in SPARSE:
                 assert units[name] == spec["unit"]
-        assert file["history/diameter"].attrs["unit"] == "um"
+        place = file["history"].dtype.names.index("diameter")
+        assert file["history"].attrs["unit"][place] == "um"
 
 
 def test_file_can_be_read_while_it_is_written(tmp_path):
@@ -205,7 +206,9 @@ def test_results_that_cannot_be_read_are_refused_with_words(tmp_path):
     (tmp_path / "frames.h5").unlink()
     with h5py.File(tmp_path / "frames.h5", "w", libver=("v110", "v110")) as file:
         file.attrs["format"] = 99
-    with pytest.raises(OutputError, match="has result format 99; this multicell reads format 5"):
+    with pytest.raises(
+        OutputError, match="has result format 99; this multicell reads formats 5 and 6"
+    ):
         Contents(tmp_path).history()
 
 
