@@ -21,7 +21,7 @@ from multicell.comparison.field_steps import (
 from multicell.comparison.measure import default_budget, solve_times
 from multicell.comparison.measured import Measurements, open_measurements
 from multicell.comparison.norms import Norm
-from multicell.comparison.precision import NUMBERS_FILE, Precision
+from multicell.comparison.precision import COMPARISON_FILES, NUMBERS_FILE, Precision
 from multicell.errors import NutrientFailed, SceneError, StepFailed
 from multicell.integrators.base import MethodInfo
 from multicell.nutrient.equations.outside import settle
@@ -30,15 +30,6 @@ from multicell.scene.field_solvers import known_solvers, longest_step
 from multicell.scene.nutrient import OWN_SOLVERS
 from multicell.scene.scene import Scene, load_scene
 from multicell.schema import near_miss
-
-FIELD_FILES: Final = (
-    "workprecision.csv",
-    NUMBERS_FILE,
-    "workprecision.png",
-    "worst-cell.png",
-    "report.html",
-)
-"""What a comparison of fields' solvers writes into its folder."""
 
 _IMPLICIT: Final = {"implicit", "crank-nicolson", "multicell-implicit", *OWN_SOLVERS}
 _LOOKS: Final = {
@@ -167,7 +158,7 @@ def compare_fields(
             "budget": budget, "threads": threads}  # fmt: skip
     asked = [method.name for method in chosen]
     with open_measurements(
-        output, FIELD_FILES, described, what, chosen, asked, overwrite=overwrite
+        output, COMPARISON_FILES, described, what, chosen, asked, overwrite=overwrite
     ) as measured:
         if output is not None and measured.has(chosen) and (Path(output) / NUMBERS_FILE).is_file():
             result = FieldPrecision.read(Path(output) / NUMBERS_FILE)

@@ -29,7 +29,7 @@ from multicell.comparison.network_steps import (
     which_network,
 )
 from multicell.comparison.norms import Norm
-from multicell.comparison.precision import NUMBERS_FILE, Precision
+from multicell.comparison.precision import COMPARISON_FILES, NUMBERS_FILE, Precision
 from multicell.comparison.record import SAMPLES, sample_size
 from multicell.errors import SceneError
 from multicell.integrators.base import MethodInfo
@@ -38,15 +38,6 @@ from multicell.networks.methods import IMPLICIT, METHODS, NetworkMethod
 from multicell.results.folder import versions
 from multicell.scene.scene import Scene, load_scene
 from multicell.schema import near_miss
-
-NETWORK_FILES: Final = (
-    "workprecision.csv",
-    NUMBERS_FILE,
-    "workprecision.png",
-    "worst-cell.png",
-    "report.html",
-)
-"""What a comparison of a network's methods writes into its folder."""
 
 TOLERANCES: Final = tuple(10.0**-k for k in range(1, 10))
 """Default ladder of relative tolerances."""
@@ -203,7 +194,7 @@ def compare_networks(
     asked = [method.name for method in chosen]
     own = described.networks[name].network is not None  # it may have changed since
     with open_measurements(
-        output, NETWORK_FILES, described, what, chosen, [] if own else asked, overwrite=overwrite
+        output, COMPARISON_FILES, described, what, chosen, [] if own else asked, overwrite=overwrite
     ) as measured:
         if output is not None and measured.has(chosen) and (Path(output) / NUMBERS_FILE).is_file():
             result = NetworkPrecision.read(Path(output) / NUMBERS_FILE)

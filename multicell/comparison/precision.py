@@ -39,7 +39,7 @@ COMPARISON_FILES: Final = (
     "worst-cell.png",
     "report.html",
 )
-"""What a comparison writes into its folder; of a whole run there is no ``conditioning.csv``."""
+"""Files of a comparison; ``conditioning.csv`` is of single steps of positions alone."""
 
 
 @dataclass(frozen=True, eq=False)
