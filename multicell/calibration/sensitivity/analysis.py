@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.calibration.sensitivity.indices import (
     INDEX_COLUMNS,
@@ -16,19 +16,14 @@ from multicell.calibration.sensitivity.indices import (
     sample,
     sensitivity_indices,
 )
-from multicell.calibration.sensitivity.plan import SensitivityPlan
 from multicell.calibration.sensitivity.result import Sensitivity, SobolIndices
-from multicell.calibration.sensitivity.sobol import (
-    sobol_result,
-    sobol_sample,
-    with_folder,
-)
+from multicell.calibration.sensitivity.sobol import sobol_result, sobol_sample
 from multicell.host.extras import needs
 from multicell.results.quantities import known_unit
 from multicell.schema import chosen
 from multicell.studies.axes import Range, check_ranges, parse_ranges
 from multicell.studies.limits import MAX_POINTS, check_runs, check_seeds, whole_between
-from multicell.studies.plan import make_plan
+from multicell.studies.plan import Plan, make_plan
 from multicell.studies.readings import chosen_observables, read_final
 from multicell.studies.study import Study, write_study
 
@@ -114,6 +109,31 @@ def sensitivity(
     return result
 
 
+@final
+@dataclass(frozen=True)
+class SensitivityPlan:
+    """An analysis that was checked and has not run.
+
+    - ``scene``, ``ranges``, ``size``, ``observables``, ``method``: as in
+      :func:`multicell.sensitivity`
+    - ``study``: the plan of its runs: the points that differ, as a list
+    - ``rows``, (n,): the number of each point of the sample in the study
+    """
+
+    scene: Scene
+    ranges: tuple[Range, ...]
+    size: int
+    observables: tuple[str, ...]
+    study: Plan
+    rows: tuple[int, ...]
+    method: str = "morris"
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """The seeds of the runs at each point."""
+        return tuple(range(self.scene.seed, self.scene.seed + self.study.seeds))
+
+
 def plan_sensitivity(
     scene: Scene | str | Path,
     free: Mapping[str, Any],
@@ -167,10 +187,12 @@ def run_sensitivity_plan(
     final, failures = read_final(outcomes, folder, plan.observables)
     shape = len(plan.study.points), plan.study.seeds
     values = {n: column.reshape(shape)[list(plan.rows)] for n, column in final.items()}
+    found: Sensitivity | SobolIndices
     if plan.method == "sobol":
-        return with_folder(sobol_result(plan, values, failures), folder)
-    result = sample_sensitivity(plan.scene, plan.ranges, plan.seeds, values, failures)
-    result = replace(result, folder=folder)
+        found = sobol_result(plan, values, failures)
+    else:
+        found = sample_sensitivity(plan.scene, plan.ranges, plan.seeds, values, failures)
+    result = replace(found, folder=folder)
     result.write_tables()  # numbers do not wait for a page
     return result
 
