@@ -7,8 +7,8 @@ continues.
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple, final
@@ -93,7 +93,8 @@ def moving_stability(
     twice = {s.name for s in found if [o.name for o in found].count(s.name) > 1}
     if twice:
         raise SceneError("state", f"two states are called {min(twice)!r}")
-    names = _usual_methods() if methods is None else methods
+    usual = [name for name, info in METHODS.items() if not info.outside]
+    names = usual if methods is None else methods
     chosen = select_methods(names, found[0].scene, found[0].radius)
     begin = clock.perf_counter()
     with _opened(output, found, chosen, names, patience, overwrite=overwrite) as measured:
@@ -107,11 +108,6 @@ def moving_stability(
     return result
 
 
-def _usual_methods() -> list[str]:
-    return [name for name, info in METHODS.items() if not info.outside]
-
-
-@contextmanager
 def _opened(
     output: str | Path | None,
     states: Sequence[RecordedState],
@@ -120,21 +116,14 @@ def _opened(
     patience: float,
     *,
     overwrite: bool,
-) -> Iterator[Measurements]:
+) -> AbstractContextManager[Measurements]:
     """Open the folder of a map, whose entries are pairs of a state and a method."""
     named, marks = named_only(names), {state.name: state.mark for state in states}
     entries = [_Entry(f"{s.name} {m.name}") for s in states for m in methods]
     kept = [f"{s.name} {name}" for s in states for name in ("truth", *named)]
-    with open_measurements(
-        output,
-        FAILURE_FILES,
-        states[0].scene,
-        {"states": marks, "patience": patience},
-        entries,
-        kept,
-        overwrite=overwrite,
-    ) as measured:
-        yield measured
+    what = {"states": marks, "patience": patience}
+    scene = states[0].scene
+    return open_measurements(output, FAILURE_FILES, scene, what, entries, kept, overwrite=overwrite)
 
 
 @final
