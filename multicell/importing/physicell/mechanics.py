@@ -148,7 +148,11 @@ def _read_adhesion(model: Model) -> None:
             given = i.own(_ADHESION)
             if given is not None and given not in model.account:
                 model.account.take(given, Fate.OFF, note=f"set by {ruled[1].tag}")
-    _read_stickiness(model, {i: own[i] for i in own if any(pairs[i, j] > 0.0 for j in own)})
+    # rules change how strongly cells adhere: of two the geometric mean, as there
+    known = {i: own[i] for i in own if any(pairs[i, j] > 0.0 for j in own)}
+    rules = rules_of(model, "cell-cell adhesion", known)
+    ones, end = dict.fromkeys(known, 1.0), lambda rule: rule.end / known[rule.kind]
+    set_behaviour(model, SURFACE_ENERGY, 1.0, ones, rules, end)
 
 
 def _strongest(model: Model) -> dict[tuple[CellDefinition, CellDefinition], float]:
@@ -181,13 +185,6 @@ def _account_for_strongest(
                 "contact.surface_energy",
                 note,
             )
-
-
-def _read_stickiness(model: Model, known: dict[CellDefinition, float]) -> None:
-    """Let rules change how strongly cells adhere: of two the geometric mean, as there."""
-    rules = rules_of(model, "cell-cell adhesion", known)
-    own, end = dict.fromkeys(known, 1.0), lambda rule: rule.end / known[rule.kind]
-    set_behaviour(model, SURFACE_ENERGY, 1.0, own, rules, end)
 
 
 def _read_wall(model: Model) -> None:
