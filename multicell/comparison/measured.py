@@ -7,15 +7,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from operator import methodcaller
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol, final
+from typing import Any, Final, Protocol, final
 
 from multicell.errors import OutputError, SceneError
 from multicell.results.documents import Lines
 from multicell.results.folder import file_errors, lock_folder, make_folder, remove, versions
+from multicell.scene.scene import Scene
 from multicell.studies.runs import MODEL_VERSION, canonical
-
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
 
 LOG_FILE: Final = "measured.log"
 """File of what is measured; it is there until all files of the comparison are."""

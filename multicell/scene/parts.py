@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multicell.behaviours.growth_laws.laws import GROWTH_LAWS, GrowthLaw
 from multicell.errors import SceneError
@@ -32,12 +33,7 @@ from multicell.schema import (
     vector,
 )
 from multicell.units import shown
-from multicell.vectors import wrapped
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from multicell.vectors import FloatArray
+from multicell.vectors import FloatArray, wrapped
 
 span = partial(interval, "um", at_least=-1e6, at_most=1e6)
 """Declares the ends of something along an axis."""

@@ -14,6 +14,7 @@ import numpy as np
 from multicell.calibration.dose_response.curve import (
     DOSES,
     LEAST,
+    Estimate,
     combine_drugs,
     draw_means,
     fit_curve,
@@ -36,7 +37,6 @@ from multicell.units import shown
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from multicell.calibration.dose_response.curve import Estimate
     from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
     from multicell.studies.engine import RunOutcome

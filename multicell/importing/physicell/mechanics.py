@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from multicell.behaviours.catalogue import SURFACE_ENERGY
 from multicell.cells import stokes_drag
+from multicell.importing.files import Element
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, VISCOSITY, CellDefinition, Model
 from multicell.importing.physicell.rules import rules_of, set_behaviour
-
-if TYPE_CHECKING:
-    from multicell.importing.files import Element
 
 _WALL = 100.0 / MINUTE
 """Strength of PhysiCell's walls, µm/s."""
