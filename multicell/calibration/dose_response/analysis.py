@@ -24,6 +24,7 @@ from multicell.errors import DataError, ExitCode, FitFailed, OutputError, SceneE
 from multicell.host.extras import needs
 from multicell.measured.columns import finite_entry
 from multicell.measured.table import read_measurements
+from multicell.scene.scene import load_scene
 from multicell.studies.axes import QUANTITY, Axis, is_numeric, parse_axis
 from multicell.studies.keys import key_of
 from multicell.studies.limits import check_seeds
@@ -171,8 +172,6 @@ def plan_dose_response(
 
     Parameters and errors are those of :func:`dose_response`.
     """
-    from multicell.scene.scene import load_scene
-
     needs("distributed")
     if scene is None or doses is None or (dose is None) == (combine is None):
         problem = "needs a scene, doses, and the key of one drug (dose) or of two (combine)"

@@ -24,7 +24,7 @@ from multicell.errors import SceneError
 from multicell.host.extras import needs
 from multicell.measured.data import ASSUMED, read_data
 from multicell.measured.table import read_measurements
-from multicell.scene.scene import Scene
+from multicell.scene.scene import Scene, load_scene
 from multicell.schema import chosen
 from multicell.studies.limits import MAX_RUNS, check_cores, check_runs, check_seeds, whole_between
 
@@ -157,8 +157,6 @@ def plan_fit(
     simulator: Simulator | None = None,
 ) -> FitPlan:
     """Check all that a fit is given, and run nothing; parameters as of :func:`fit`."""
-    from multicell.scene.scene import load_scene
-
     if isinstance(scene, str | Path):
         scene = load_scene(scene)
     seeds = check_seeds(seeds, scene.seed)

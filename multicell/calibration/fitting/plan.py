@@ -187,8 +187,6 @@ def make_runs(
 
     Where the result contradicts itself, and the plan allows more runs, the search continues.
     """
-    from multicell.calibration.fitting.search import Search
-
     begin = clock.monotonic()
     search = Search(plan.problem, None if folder is None else folder / SEARCH)
     points, most = plan.points, plan.points + plan.extra

@@ -20,6 +20,7 @@ from multicell.calibration.sensitivity.result import Sensitivity, SobolIndices
 from multicell.calibration.sensitivity.sobol import sobol_result, sobol_sample
 from multicell.host.extras import needs
 from multicell.results.quantities import known_unit
+from multicell.scene.scene import load_scene
 from multicell.schema import chosen
 from multicell.studies.axes import Range, check_ranges, parse_ranges
 from multicell.studies.limits import MAX_POINTS, check_runs, check_seeds, whole_between
@@ -147,8 +148,6 @@ def plan_sensitivity(
 
     Parameters and errors are those of :func:`sensitivity`.
     """
-    from multicell.scene.scene import load_scene
-
     needs("SALib", "distributed")
     described = load_scene(scene) if isinstance(scene, str | Path) else scene
     chosen(method, METHODS_OF_ANALYSIS, "method")

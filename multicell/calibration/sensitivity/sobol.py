@@ -24,6 +24,7 @@ from multicell.calibration.sensitivity.indices import unit_cube
 from multicell.calibration.sensitivity.result import SobolIndices
 from multicell.calibration.shared.confidence import LEVEL
 from multicell.errors import SceneError
+from multicell.results.quantities import known_unit
 from multicell.units import shown
 
 if TYPE_CHECKING:
@@ -89,8 +90,6 @@ def sobol_result(
     failures: Mapping[str, str] = MappingProxyType({}),
 ) -> SobolIndices:
     """Return the indices of whatever has values at the points of a plan's sample."""
-    from multicell.results.quantities import known_unit
-
     names = [free.name for free in plan.ranges]
     table: list[dict[str, Any]] = []
     notes = []
