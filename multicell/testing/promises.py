@@ -28,6 +28,12 @@ def carry_out_checks(checks: Iterable[Callable[[Any], None]], subject: Any, name
     fail_with(name, problems)
 
 
+def carry_out_tests(tests: object, subject: Any, name: str) -> None:
+    """Raise ``AssertionError`` with all promises that methods ``test_...`` find broken."""
+    names = [test for test in vars(type(tests)) if test.startswith("test_")]
+    carry_out_checks([getattr(tests, test) for test in names], subject, name)
+
+
 def fail_with(name: str, problems: Iterable[str]) -> None:
     """Raise ``AssertionError`` with the name of a part and its problems, if there are any."""
     found = "; ".join(dict.fromkeys(problems))
