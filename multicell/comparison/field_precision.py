@@ -156,9 +156,8 @@ def compare_fields(
     chosen = _solvers(methods)
     what = {"field": name, "clock": clock, "repeats": repeats, "patience": patience,
             "budget": budget, "threads": threads}  # fmt: skip
-    asked = [method.name for method in chosen]
     with open_measurements(
-        output, COMPARISON_FILES, described, what, chosen, asked, overwrite=overwrite
+        output, COMPARISON_FILES, described, what, chosen, chosen, overwrite=overwrite
     ) as measured:
         if output is not None and measured.has(chosen) and (Path(output) / NUMBERS_FILE).is_file():
             result = FieldPrecision.read(Path(output) / NUMBERS_FILE)
@@ -170,13 +169,13 @@ def compare_fields(
         total = default_budget(exact.wall) if budget is None else budget
         table: list[Row] = []
         unfit = "multicell-march" if step.steady else "multicell-steady"
-        for method in chosen:
-            if method.name != unfit:
+        for solver in chosen:
+            if solver != unfit:
                 share = total / len(chosen)
-                table += _climb(method.name, step, exact, (patience, share), measured, tell)
+                table += _climb(solver, step, exact, (patience, share), measured, tell)
         tell("timing, all solvers in turns")
         _time(table, step, repeats)
-        facts = _facts(step, exact, [] if methods is None else asked)
+        facts = _facts(step, exact, [] if methods is None else chosen)
         result = FieldPrecision(described, table, exact.errors, facts, clock)
         if output is not None:
             result.save(output)
@@ -233,13 +232,13 @@ def _errors(step: FieldStep, found: FloatArray, exact: FloatArray) -> dict[str, 
     return {"nodes": step.at_nodes(found, exact), "worst_cell": step.at_cells(found, exact)}
 
 
-def _solvers(names: Sequence[str] | None) -> list[MethodInfo]:
-    """Return solvers by name; absent: all. Raises SceneError."""
+def _solvers(names: Sequence[str] | None) -> list[str]:
+    """Return names of solvers, each once; absent: all. Raises SceneError."""
     known = [name for name in known_solvers() if name not in ("auto", "explicit")]  # twice there
     for name in names or ():
         if name not in (*known, "explicit"):
             raise SceneError("methods", f"has no {name!r}", near_miss(str(name), known))
-    return [MethodInfo(name) for name in dict.fromkeys(known if names is None else names)]
+    return list(dict.fromkeys(known if names is None else names))
 
 
 def _settings(step: FieldStep, name: str) -> tuple[str, list[float]]:
@@ -277,7 +276,7 @@ def _climb(
     tell: Callable[[str], None],
 ) -> list[Row]:
     """Solve by one solver from coarse to fine, until patience or budget end; return its rows."""
-    known = measured.find(MethodInfo(name))
+    known = measured.find(name)
     if known is not None:
         tell(f"{name}: was measured before")
         return list(known["rows"])
@@ -303,7 +302,7 @@ def _climb(
         )
         if control == "time" and errors["nodes"] < _FOLLOWED:
             break
-    measured.add(MethodInfo(name), rows=rows)
+    measured.add(name, rows=rows)
     return rows
 
 

@@ -194,9 +194,9 @@ def compare_networks(
     asked = [method.name for method in chosen]
     own = described.networks[name].network is not None  # it may have changed since
     with open_measurements(
-        output, COMPARISON_FILES, described, what, chosen, [] if own else asked, overwrite=overwrite
+        output, COMPARISON_FILES, described, what, asked, [] if own else asked, overwrite=overwrite
     ) as measured:
-        if output is not None and measured.has(chosen) and (Path(output) / NUMBERS_FILE).is_file():
+        if output is not None and measured.has(asked) and (Path(output) / NUMBERS_FILE).is_file():
             result = NetworkPrecision.read(Path(output) / NUMBERS_FILE)
             result.save(output)  # what is made of it is all that was lacking
             return result
@@ -258,7 +258,7 @@ class _Climber:
 
     def points(self, settings: Sequence[float], measured: Measurements) -> list[_Point]:
         """Return a point for each setting, from the folder where they were measured before."""
-        known = measured.find(self.method)
+        known = measured.find(self.method.name)
         if known is not None:
             self.tell(f"{self.method.name}: was measured before")
             return [_Point(row) for row in known["rows"]]
@@ -279,7 +279,7 @@ class _Climber:
             if not found.problem:
                 spent += _SOLVES * found.wall
             points.append(_Point(self._solved(setting, found), again))
-        measured.add(self.method, rows=[point.row for point in points])
+        measured.add(self.method.name, rows=[point.row for point in points])
         return points
 
     def _solved(self, setting: float, found: NetworkRun) -> Row:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -34,12 +34,6 @@ MAP_TOLERANCES: Final = (0.001, 0.01, 0.03, 0.1, 0.3)
 
 _OF_LIMIT: Final = (4.0, 2.0, 1.0, 0.5, 0.1)  # fixed explicit steps over Euler's limit at the end
 _OF_STEP: Final = (1, 4, 16, 64)  # fixed implicit steps in a coupling step
-
-
-class _Entry(NamedTuple):
-    """An entry of what is measured."""
-
-    name: str
 
 
 def moving_stability(
@@ -119,7 +113,7 @@ def _opened(
 ) -> AbstractContextManager[Measurements]:
     """Open the folder of a map, whose entries are pairs of a state and a method."""
     named, marks = named_only(names), {state.name: state.mark for state in states}
-    entries = [_Entry(f"{s.name} {m.name}") for s in states for m in methods]
+    entries = [f"{s.name} {m.name}" for s in states for m in methods]
     kept = [f"{s.name} {name}" for s in states for name in ("truth", *named)]
     what = {"states": marks, "patience": patience}
     scene = states[0].scene
@@ -144,14 +138,14 @@ class _Trials:
         for method in methods:
             if method.info.refusal(len(self.state.start), friction=friction) is not None:
                 continue
-            entry = _Entry(f"{self.state.name} {method.name}")
+            entry = f"{self.state.name} {method.name}"
             known = self.measured.find(entry)
             if known is None:
-                self.note(entry.name)
+                self.note(entry)
                 known = {"rows": [self._row(method, s) for s in self._settings(method)]}
                 self.measured.add(entry, **known)
             else:
-                self.note(f"{entry.name}: was measured before")
+                self.note(f"{entry}: was measured before")
             table += known["rows"]
         return table
 
@@ -174,7 +168,7 @@ class _Trials:
     def _true(self) -> TrueStep:
         """Return the truth of the state, from the folder if it was solved before."""
         if self.truth is None:
-            entry = _Entry(f"{self.state.name} truth")
+            entry = f"{self.state.name} truth"
             known = self.measured.find(entry)
             if known is None:
                 self.note(f"{self.state.name}: the true end, and of twelve shifted starts")
