@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from multicell.calibration.sensitivity.result import IndexTable, Row
+    from multicell.cells import FloatArray
     from multicell.studies.axes import Range
 
 
@@ -128,22 +129,32 @@ def indices(result: IndexTable, observable: str) -> Figure:
 
 def _bars(axes: Axes, rows: list[Row]) -> None:
     """Draw bars with intervals, the first row on top; a red tick is the noise."""
-    places = np.arange(len(rows), dtype=float)
-    values, halves, noise = (
-        np.array([row[name] for row in rows]) for name in ("mu_star", "mu_star_conf", "noise")
-    )
+    places, noise = np.arange(len(rows), dtype=float), np.array([row["noise"] for row in rows])
     colours = [BLUE if row["verdict"] in (CLEAR, CLEAR_SINGLE) else PALE for row in rows]
-    axes.barh(places, np.nan_to_num(values), 0.63, color=colours)
+    _draw_column(axes, rows, "mu_star", places, 0.63, color=colours)
+    there = noise > 0.0
+    axes.vlines(noise[there], places[there] - 0.35, places[there] + 0.35, color=RED, lw=2, zorder=4)
+    _name_rows(axes, [_shown(row) for row in rows])
+    axes.set_xlabel(with_unit("mean size of the effect μ*", written(rows[0]["unit"])))
+
+
+def _draw_column(
+    axes: Axes, rows: list[Row], column: str, places: FloatArray, height: float, **how: Any
+) -> None:
+    """Draw a column of a table as bars with its intervals."""
+    values, halves = (np.array([row[name] for row in rows]) for name in (column, f"{column}_conf"))
+    axes.barh(places, np.nan_to_num(values), height, **how)
     axes.errorbar(
         values, places, xerr=halves, fmt="none", ecolor=QUIET, elinewidth=1.3, capsize=2.5
     )
-    there = noise > 0.0
-    axes.vlines(noise[there], places[there] - 0.35, places[there] + 0.35, color=RED, lw=2, zorder=4)
+
+
+def _name_rows(axes: Axes, names: list[str]) -> None:
+    """Name bars, the first one on top, and draw the line where they begin."""
     axes.axvline(0.0, color=QUIET, lw=0.8)
-    axes.set_yticks(places, [_shown(row) for row in rows])
-    axes.set_ylim(len(rows) - 0.4, -0.6)
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylim(len(names) - 0.4, -0.6)
     axes.grid(False, axis="y")
-    axes.set_xlabel(with_unit("mean size of the effect μ*", written(rows[0]["unit"])))
 
 
 def _shown(row: Row) -> str:
@@ -210,22 +221,8 @@ def sobol_bars(result: IndexTable, observable: str) -> Figure:
     places = np.arange(len(rows), dtype=float)
     pairs = (("ST", 0.18, PALE, "total, with interactions"), ("S1", -0.18, BLUE, "alone"))
     for column, shift, colour, label in pairs:
-        values = np.array([row[column] for row in rows])
-        halves = np.array([row[f"{column}_conf"] for row in rows])
-        axes.barh(places + shift, np.nan_to_num(values), 0.34, color=colour, label=label)
-        axes.errorbar(
-            values,
-            places + shift,
-            xerr=halves,
-            fmt="none",
-            ecolor=QUIET,
-            elinewidth=1.3,
-            capsize=2.5,
-        )
-    axes.set_yticks(places, [key_words(str(row["key"]), str(row["parameter"])) for row in rows])
-    axes.set_ylim(len(rows) - 0.4, -0.6)
-    axes.grid(False, axis="y")
-    axes.axvline(0.0, color=QUIET, lw=0.8)
+        _draw_column(axes, rows, column, places + shift, 0.34, color=colour, label=label)
+    _name_rows(axes, [key_words(str(row["key"]), str(row["parameter"])) for row in rows])
     axes.set_xlabel("part of the variance")
     axes.legend(loc="lower right")
     return figure
