@@ -301,24 +301,13 @@ def scene_of(source: str, changes: Sequence[str], laws: Sequence[str] = ()) -> S
     return described
 
 
-def of_scene(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Give a command the scene that SCENE, ``--law`` and ``--set`` describe."""
+def of_scene(command: Callable[..., Any], *, required: bool = True) -> Callable[..., Any]:
+    """Give a command the scene that SCENE, ``--law`` and ``--set`` describe.
 
-    @click.argument("scene", **offering(known_scenes))
-    @law_option
-    @changes_option
-    @wraps(command)
-    def called(scene: str, laws: Sequence[str], changes: Sequence[str], **options: Any) -> Any:
-        return command(scene_of(scene, changes, laws), **options)
+    None where there is no SCENE and none is required.
+    """
 
-    decorated: Callable[..., Any] = called
-    return decorated
-
-
-def of_optional_scene(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Give a command the scene as :func:`of_scene` does, or None where there is no SCENE."""
-
-    @click.argument("scene", required=False, **offering(known_scenes))
+    @click.argument("scene", required=required, **offering(known_scenes))
     @law_option
     @changes_option
     @wraps(command)
@@ -331,6 +320,9 @@ def of_optional_scene(command: Callable[..., Any]) -> Callable[..., Any]:
 
     decorated: Callable[..., Any] = called
     return decorated
+
+
+of_optional_scene = partial(of_scene, required=False)
 
 
 def name_laws(specs: Sequence[str]) -> dict[str, str]:

@@ -23,6 +23,7 @@ import click
 from multicell.errors import ExitCode, MulticellError, UnitWarning, exit_code_of
 from multicell.host.interrupts import end_command, interrupted
 from multicell.plugins.named import own_fault
+from multicell.schema import specs
 
 
 def print_json(document: Any) -> None:
@@ -314,8 +315,6 @@ def _with_example(error: click.MissingParameter) -> click.ClickException:
 
 def _with_key(error: click.NoSuchOption) -> click.ClickException:
     """Return a complaint about an option with the key of scenes that has its name."""
-    from multicell.schema import specs
-
     there = [name for entry in error.ctx.command.params for name in entry.opts] if error.ctx else []
     other = _OTHER_OPTIONS.get(error.option_name)
     if other in there:

@@ -14,6 +14,8 @@ from multicell.cli import options as shared
 from multicell.cli.options import filled_table
 from multicell.cli.process import print_json
 from multicell.errors import OutputError
+from multicell.host.files import parse_toml
+from multicell.schema import near_miss
 from multicell.units import time_text
 
 if TYPE_CHECKING:
@@ -64,7 +66,6 @@ def init(name: str, output: Path | None, overwrite: bool, as_json: bool) -> None
     """Write a copy of the built-in scene NAME, to edit and run as a scene of your own."""
     from multicell.results.folder import write_text
     from multicell.scene.scene import scene_files, scene_names, scene_text
-    from multicell.schema import near_miss
 
     if name not in scene_names():
         raise OutputError(f"there is no built-in scene {name!r}. {near_miss(name, scene_names())}")
@@ -157,7 +158,6 @@ def importing(
 
 
 def _scene_row(name: str) -> dict[str, Any]:
-    from multicell.host.files import parse_toml
     from multicell.scene.scene import Scene, scene_text
 
     entries = parse_toml(scene_text(name))

@@ -60,7 +60,9 @@ def workprecision(result: SolveTable, norm: str) -> Figure:
     top = 1.1 if result.stepwise else 0.9
     styles = appearance(result, norm)
     height = decade * _decades(errors)
-    lines = _legend_lines(styles) + bool(result.failures())
+    # of the legend, in which names in pale grey are smaller
+    lines: float = sum(style.colour != PALE for style in styles.values())
+    lines += 0.75 * len(_pale_names(styles)) + bool(result.failures())
     tall = max(top + strip + height + _BOTTOM, top + 0.6 + 0.24 * lines)
     facts = result.facts
     first, last = facts["cells"]
@@ -244,11 +246,6 @@ def _draw_failures(
     strip.tick_params(axis="x", which="both", labelbottom=False, length=0)
     strip.set_facecolor("#faf3f1")
     strip.set_ylabel("failed", fontsize=9, color=RED, rotation=0, ha="right", va="center")
-
-
-def _legend_lines(styles: Mapping[str, Style]) -> float:
-    """Return how many lines a legend of methods takes, names in pale grey being smaller."""
-    return sum(style.colour != PALE for style in styles.values()) + 0.75 * len(_pale_names(styles))
 
 
 def _pale_names(styles: Mapping[str, Style]) -> list[str]:

@@ -21,7 +21,7 @@ from multicell.comparison.field_steps import (
 from multicell.comparison.measure import default_budget, solve_times
 from multicell.comparison.measured import Measurements, open_measurements
 from multicell.comparison.norms import Norm
-from multicell.comparison.numbers import NUMBERS_FILE
+from multicell.comparison.numbers import COMPARISON_FILES, NUMBERS_FILE
 from multicell.comparison.precision import Precision
 from multicell.errors import NutrientFailed, SceneError, StepFailed
 from multicell.integrators.base import MethodInfo
@@ -31,15 +31,6 @@ from multicell.scene.field_solvers import known_solvers, longest_step
 from multicell.scene.nutrient import OWN_SOLVERS
 from multicell.scene.scene import Scene, load_scene
 from multicell.schema import near_miss
-
-FIELD_FILES: Final = (
-    "workprecision.csv",
-    NUMBERS_FILE,
-    "workprecision.png",
-    "worst-cell.png",
-    "report.html",
-)
-"""What a comparison of fields' solvers writes into its folder."""
 
 _IMPLICIT: Final = {"implicit", "crank-nicolson", "multicell-implicit", *OWN_SOLVERS}
 _LOOKS: Final = {
@@ -166,9 +157,8 @@ def compare_fields(
     chosen = _solvers(methods)
     what = {"field": name, "clock": clock, "repeats": repeats, "patience": patience,
             "budget": budget, "threads": threads}  # fmt: skip
-    asked = [method.name for method in chosen]
     with open_measurements(
-        output, FIELD_FILES, described, what, chosen, asked, overwrite=overwrite
+        output, COMPARISON_FILES, described, what, chosen, chosen, overwrite=overwrite
     ) as measured:
         if output is not None and measured.has(chosen) and (Path(output) / NUMBERS_FILE).is_file():
             result = FieldPrecision.read(Path(output) / NUMBERS_FILE)
@@ -180,13 +170,13 @@ def compare_fields(
         total = default_budget(exact.wall) if budget is None else budget
         table: list[Row] = []
         unfit = "multicell-march" if step.steady else "multicell-steady"
-        for method in chosen:
-            if method.name != unfit:
+        for solver in chosen:
+            if solver != unfit:
                 share = total / len(chosen)
-                table += _climb(method.name, step, exact, (patience, share), measured, tell)
+                table += _climb(solver, step, exact, (patience, share), measured, tell)
         tell("timing, all solvers in turns")
         _time(table, step, repeats)
-        facts = _facts(step, exact, [] if methods is None else asked)
+        facts = _facts(step, exact, [] if methods is None else chosen)
         result = FieldPrecision(described, table, exact.errors, facts, clock)
         if output is not None:
             result.save(output)
@@ -243,13 +233,13 @@ def _errors(step: FieldStep, found: FloatArray, exact: FloatArray) -> dict[str, 
     return {"nodes": step.at_nodes(found, exact), "worst_cell": step.at_cells(found, exact)}
 
 
-def _solvers(names: Sequence[str] | None) -> list[MethodInfo]:
-    """Return solvers by name; absent: all. Raises SceneError."""
+def _solvers(names: Sequence[str] | None) -> list[str]:
+    """Return names of solvers, each once; absent: all. Raises SceneError."""
     known = [name for name in known_solvers() if name not in ("auto", "explicit")]  # twice there
     for name in names or ():
         if name not in (*known, "explicit"):
             raise SceneError("methods", f"has no {name!r}", near_miss(str(name), known))
-    return [MethodInfo(name) for name in dict.fromkeys(known if names is None else names)]
+    return list(dict.fromkeys(known if names is None else names))
 
 
 def _settings(step: FieldStep, name: str) -> tuple[str, list[float]]:
@@ -287,7 +277,7 @@ def _climb(
     tell: Callable[[str], None],
 ) -> list[Row]:
     """Solve by one solver from coarse to fine, until patience or budget end; return its rows."""
-    known = measured.find(MethodInfo(name))
+    known = measured.find(name)
     if known is not None:
         tell(f"{name}: was measured before")
         return list(known["rows"])
@@ -313,7 +303,7 @@ def _climb(
         )
         if control == "time" and errors["nodes"] < _FOLLOWED:
             break
-    measured.add(MethodInfo(name), rows=rows)
+    measured.add(name, rows=rows)
     return rows
 
 

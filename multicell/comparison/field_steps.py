@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 from pde.solvers.base import SolverBase
@@ -17,13 +17,11 @@ from pde.solvers.base import SolverBase
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.balance import FADED
+from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.equations.outside import bring
+from multicell.scene.scene import Scene
 from multicell.schema import near_miss
 from multicell.simulation import Simulation
-
-if TYPE_CHECKING:
-    from multicell.nutrient.equations.equation import FieldEquation
-    from multicell.scene.scene import Scene
 
 _MARCHING: Final = 1e-6  # tolerance with which fields are marched to rest by solvers that have one
 

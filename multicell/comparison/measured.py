@@ -7,26 +7,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from operator import methodcaller
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol, final
+from typing import Any, Final, final
 
 from multicell.errors import OutputError, SceneError
 from multicell.results.documents import Lines
 from multicell.results.folder import file_errors, lock_folder, make_folder, remove, versions
+from multicell.scene.scene import Scene
 from multicell.studies.runs import MODEL_VERSION, canonical
-
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
 
 LOG_FILE: Final = "measured.log"
 """File of what is measured; it is there until all files of the comparison are."""
-
-
-class ComparedMethod(Protocol):
-    """A method of positions or of networks."""
-
-    @property
-    def name(self) -> str:
-        """Its name, of which no two are the same in a comparison."""
 
 
 @final
@@ -42,18 +32,18 @@ class Measurements:
         entries = [] if lines is None else lines.entries[1:]
         self._known = {entry["method"]: entry for entry in entries if entry["method"] in names}
 
-    def find(self, method: ComparedMethod) -> dict[str, Any] | None:
+    def find(self, method: str) -> dict[str, Any] | None:
         """Return the measurements of a method; None where there are none."""
-        return self._known.get(method.name)
+        return self._known.get(method)
 
-    def has(self, methods: Sequence[ComparedMethod]) -> bool:
+    def has(self, methods: Sequence[str]) -> bool:
         """Return whether all methods were measured."""
-        return all(method.name in self._known for method in methods)
+        return all(method in self._known for method in methods)
 
-    def add(self, method: ComparedMethod, **found: Any) -> None:
+    def add(self, method: str, **found: Any) -> None:
         """Write what was measured of a method; raises OutputError if that cannot be written."""
         if self._lines is not None:
-            self._lines.append([_plain({"method": method.name, **found})])
+            self._lines.append([_plain({"method": method, **found})])
 
 
 @contextmanager
@@ -62,7 +52,7 @@ def open_measurements(
     files: Sequence[str],
     scene: Scene,
     options: Mapping[str, Any],
-    methods: Sequence[ComparedMethod],
+    methods: Sequence[str],
     given: Sequence[Any],
     *,
     overwrite: bool,
@@ -70,7 +60,7 @@ def open_measurements(
     """Open the folder of a comparison, of which nothing is measured twice; keep others out.
 
     - ``files``: what a comparison that comes to its end leaves in the folder
-    - ``scene``, ``options``, ``methods``: all that decides its numbers
+    - ``scene``, ``options``, ``methods``: all that decides its numbers; names, no two the same
     - ``given``: the methods as they were asked for: what was measured of those that are named may
       be taken from the folder; one of the user's own may have changed since
 
@@ -86,7 +76,7 @@ def open_measurements(
             "scene": canonical(scene),
             "versions": versions(),
             **options,
-            "methods": [m.name for m in methods],
+            "methods": list(methods),
             "named": names,
         }
     )

@@ -29,7 +29,7 @@ from multicell.comparison.network_steps import (
     which_network,
 )
 from multicell.comparison.norms import Norm
-from multicell.comparison.numbers import NUMBERS_FILE
+from multicell.comparison.numbers import COMPARISON_FILES, NUMBERS_FILE
 from multicell.comparison.precision import Precision
 from multicell.comparison.record import SAMPLES, sample_size
 from multicell.errors import SceneError
@@ -39,15 +39,6 @@ from multicell.networks.methods import IMPLICIT, METHODS, NetworkMethod
 from multicell.results.folder import versions
 from multicell.scene.scene import Scene, load_scene
 from multicell.schema import near_miss
-
-NETWORK_FILES: Final = (
-    "workprecision.csv",
-    NUMBERS_FILE,
-    "workprecision.png",
-    "worst-cell.png",
-    "report.html",
-)
-"""What a comparison of a network's methods writes into its folder."""
 
 TOLERANCES: Final = tuple(10.0**-k for k in range(1, 10))
 """Default ladder of relative tolerances."""
@@ -204,9 +195,9 @@ def compare_networks(
     asked = [method.name for method in chosen]
     own = described.networks[name].network is not None  # it may have changed since
     with open_measurements(
-        output, NETWORK_FILES, described, what, chosen, [] if own else asked, overwrite=overwrite
+        output, COMPARISON_FILES, described, what, asked, [] if own else asked, overwrite=overwrite
     ) as measured:
-        if output is not None and measured.has(chosen) and (Path(output) / NUMBERS_FILE).is_file():
+        if output is not None and measured.has(asked) and (Path(output) / NUMBERS_FILE).is_file():
             result = NetworkPrecision.read(Path(output) / NUMBERS_FILE)
             result.save(output)  # what is made of it is all that was lacking
             return result
@@ -268,7 +259,7 @@ class _Climber:
 
     def points(self, settings: Sequence[float], measured: Measurements) -> list[_Point]:
         """Return a point for each setting, from the folder where they were measured before."""
-        known = measured.find(self.method)
+        known = measured.find(self.method.name)
         if known is not None:
             self.tell(f"{self.method.name}: was measured before")
             return [_Point(row) for row in known["rows"]]
@@ -289,7 +280,7 @@ class _Climber:
             if not found.problem:
                 spent += _SOLVES * found.wall
             points.append(_Point(self._solved(setting, found), again))
-        measured.add(self.method, rows=[point.row for point in points])
+        measured.add(self.method.name, rows=[point.row for point in points])
         return points
 
     def _solved(self, setting: float, found: NetworkRun) -> Row:

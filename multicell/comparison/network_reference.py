@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
 from multicell.cells import FloatArray
-from multicell.comparison.network_steps import SURE, solve_steps
+from multicell.comparison.network_steps import SURE, NetworkProblem, NetworkStep, solve_steps
 from multicell.errors import StepFailed
 from multicell.networks.solver import Inside, NetworkSolver
-
-if TYPE_CHECKING:
-    from multicell.comparison.network_steps import NetworkProblem, NetworkStep
 
 _AGAIN: Final = 10.0  # times the reference's tolerance, of the solve that it is compared with
 _MOST: Final = 1_000_000  # steps of CVODE

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, final
 
 import numpy as np
 
-from multicell.cells import FloatArray, IntArray
+from multicell.cells import Cells, FloatArray, IntArray
 from multicell.errors import SceneError
 from multicell.networks.loop import REMEMBERED
 from multicell.networks.methods import METHODS, NetworkMethod
@@ -26,7 +26,6 @@ from multicell.simulation import Simulation
 
 if TYPE_CHECKING:
     from multicell.biology.inside import PlacedNetwork
-    from multicell.cells import Cells
     from multicell.scene.scene import Scene
 
 MOST_CELLS: Final = 100

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 
 NUMBERS_FILE: Final = "workprecision.json"
-_CHEAPER: Final = 1.05  # ratio of costs below which a method is no cheaper in words
 """All that was measured; it is written before anything is made of it."""
+_CHEAPER: Final = 1.05  # ratio of costs below which a method is no cheaper in words
 
 COMPARISON_FILES: Final = (
     "workprecision.csv",

@@ -147,12 +147,13 @@ def compare(
         "metrics": list(metrics or ()),
         "references": pair and [(m.name, s) for m, s in pair],
     }
+    names = [method.name for method in chosen]
     given = [m for m, _ in references or ()]
     own = bool(metrics) or named_only(given) != given  # they may have changed since
     with open_measurements(
-        output, COMPARISON_FILES, described, what, chosen, () if own else asked, overwrite=overwrite
+        output, COMPARISON_FILES, described, what, names, () if own else asked, overwrite=overwrite
     ) as measured:
-        if output is not None and measured.has(chosen) and (Path(output) / NUMBERS_FILE).is_file():
+        if output is not None and measured.has(names) and (Path(output) / NUMBERS_FILE).is_file():
             result = WorkPrecision.read(Path(output) / NUMBERS_FILE)
             result.save(output)  # what is made of it is all that was lacking
             return result
@@ -178,7 +179,7 @@ def compare(
             left -= spent
         note("timing again, all methods in turns")
         time_again(again, exact.problem, repeats)
-        named = [] if methods is None else [method.name for method in chosen]
+        named = [] if methods is None else names
         facts = {**_facts(exact, decay), "looks": unregistered_styles(chosen), "named": named}
         if metrics:
             facts["metrics"] = list(metrics)
@@ -199,7 +200,7 @@ def _measure(
     note: Callable[[str], None],
 ) -> tuple[list[Row], list[TimedPoint], float]:
     """Do as :func:`climb`, from the folder where it was measured before."""
-    known = measured.find(method)
+    known = measured.find(method.name)
     if known is not None:
         note(f"{method.name}: was measured before")
         rows = known["rows"]
@@ -211,7 +212,7 @@ def _measure(
     rows, timed, spent = climb(method, rungs, exact, effort, note)
     places = {id(row): k for k, row in enumerate(rows)}
     points = [(places[id(point.row)], point.share, point.spent, point.repeats) for point in timed]
-    measured.add(method, rows=rows, timed=points, spent=spent)
+    measured.add(method.name, rows=rows, timed=points, spent=spent)
     return rows, timed, spent
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.errors import DataError
+from multicell.host.extras import needs
 from multicell.measured.data import ASSUMED, Datum, Measured, read_data
 from multicell.measured.observables import at_times, course_of, entry_of
 from multicell.measured.table import read_measurements
@@ -113,8 +114,6 @@ class MeasuredComparison:
 
     def to_pandas(self) -> DataFrame:
         """Return :meth:`rows` as a table."""
-        from multicell.host.extras import needs
-
         needs("pandas")
         import pandas as pd
 

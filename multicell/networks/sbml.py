@@ -56,7 +56,9 @@ def network_from_sbml(
         system = _system(document)
         units, second = units_stated(model), second_of(model)
         if system.size_rates or "rateOf" in text:
-            _check_moving(system, inputs)
+            # formulas hold rates of states, which those that are inputs have no more
+            for state in set(inputs) & set(system.states):
+                raise SceneError("", f"cannot have '{state}' as an input: rates of change are read")
         return _network(system, model.getId() or name, inputs, given, units, second)
     except RecursionError:
         raise SceneError(name, "has a formula that is nested too deeply") from None
@@ -89,12 +91,6 @@ def _system(document: Any) -> Any:
         found = ", ".join(f"{what} ('{who[:80]}')" for what, who in system.unsupported[:5])
         raise SceneError("", f"has what is not read here: {found}")
     return system
-
-
-def _check_moving(system: Any, inputs: Sequence[str]) -> None:
-    """Refuse states as inputs where formulas hold their rates, which they then have no more."""
-    for name in set(inputs) & set(system.states):
-        raise SceneError("", f"cannot have '{name}' as an input: rates of change are read")
 
 
 def _check_sizes(model: Any) -> None:

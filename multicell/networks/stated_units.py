@@ -53,13 +53,9 @@ def units_stated(model: Any) -> dict[str, str]:
     A unit that cannot be written as one of this package's is a text that nothing reads as a unit,
     such as ``"160 s"``.
     """
-    pairs = [*_of_compartments(model), *_of_species(model), *_of_others(model)]
+    pairs = [(one.getId(), _size_unit(model, one)) for one in model.getListOfCompartments()]
+    pairs += [*_of_species(model), *_of_others(model)]
     return {name: unit for name, unit in pairs if unit is not None}
-
-
-def _of_compartments(model: Any) -> Iterator[tuple[str, str | None]]:
-    for one in model.getListOfCompartments():
-        yield one.getId(), _size_unit(model, one)
 
 
 def _size_unit(model: Any, compartment: Any) -> str | None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.integrators.registry import METHODS
 from multicell.results.folder import package_version
+from multicell.scene.scene import Scene
 from multicell.scene.steps import longest_coupling_step
 from multicell.schema import leaves
 from multicell.units import shown, time_text
@@ -77,8 +78,6 @@ def _model(result: Result) -> str:
 
 def _values(scene: Scene) -> str:
     """Return the values of a scene that one without any keys does not have."""
-    from multicell.scene.scene import Scene
-
     plain = dict(_flat(Scene.from_dict({"duration": scene.duration}).to_dict()))
     units = {".".join(path): spec.units for path, _, spec in leaves(scene)}
     said = [

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from multicell.cells import State
+from multicell.cells import Cells, IntArray, State
 from multicell.errors import OutputError
 from multicell.population.extents import centre
 from multicell.report.colours import STATE_COLOURS, TYPE_COLOURS
@@ -26,7 +26,6 @@ from multicell.results.folder import LIVE, file_errors, remove, write_bytes, wri
 from multicell.results.tables import NAMED
 
 if TYPE_CHECKING:
-    from multicell.cells import Cells, IntArray
     from multicell.scene.scene import Scene
     from multicell.simulation import Simulation
 

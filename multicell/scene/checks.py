@@ -13,7 +13,7 @@ from multicell.integrators.registry import METHODS
 from multicell.scene import domain as box
 from multicell.scene.dependences import solving_order
 from multicell.scene.field_solvers import check_solver
-from multicell.scene.nutrient import LEVELS, MAX_CONCENTRATION
+from multicell.scene.nutrient import LEVELS, MAX_CONCENTRATION, Nutrient
 from multicell.scene.oxygen import check_dissolves, is_oxygen, most_dissolved
 from multicell.scene.reactions import groups
 from multicell.scene.scales import (
@@ -29,7 +29,6 @@ from multicell.scene.sizes import division_radius, internal_step, radius_scales
 from multicell.schema import leaves, near_miss, separated
 
 if TYPE_CHECKING:
-    from multicell.scene.nutrient import Nutrient
     from multicell.scene.parts import CellType
     from multicell.scene.scene import Scene
 

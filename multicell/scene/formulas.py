@@ -50,21 +50,17 @@ FORMULA_HINT: Final = (
 )
 
 
-def check_formula(text: str, path: str) -> None:
-    """Raise ``SceneError`` for a formula that is not arithmetic of x, y and z."""
-    _tree(text, path)
-
-
 def formula_values(text: str, places: FloatArray, path: str) -> FloatArray:
     """Return the values of a formula at places (n, 3) in µm, (n,)."""
     x, y, z = places.T
     known = {"x": x, "y": y, "z": z, "pi": math.pi}
     with np.errstate(all="ignore"):  # what is not finite is for the caller to refuse
-        found = _value(_tree(text, path), known)
+        found = _value(check_formula(text, path), known)
     return np.array(np.broadcast_to(found, len(places)), dtype=float)
 
 
-def _tree(text: str, path: str) -> ast.expr:
+def check_formula(text: str, path: str) -> ast.expr:
+    """Return the tree of a formula; ``SceneError`` for one that is not arithmetic of x, y and z."""
     if len(text) > _LONGEST:
         raise SceneError(path, f"has {len(text):,} characters, must have at most {_LONGEST:,}")
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, final
@@ -92,26 +93,23 @@ class InitialFile:
         return tuple(found)
 
 
+@final
+@dataclass(frozen=True)
 class _Known:
     """A file by its content: wherever it lies, its values are the same."""
 
-    def __init__(self, part: InitialFile, digest: str, column: str) -> None:
-        self.part, self._key = part, (digest, column)
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Known) and other._key == self._key
+    part: InitialFile = field(compare=False)
+    digest: str
+    column: str
 
 
 @lru_cache(maxsize=8)
 def _grid(known: _Known) -> GridValues:
     from multicell.tables.grids import grid_values
 
-    part, (_, column) = known.part, known._key
+    part = known.part
     try:
-        found = grid_values(part.content(), Path(part.file).name, column)
+        found = grid_values(part.content(), Path(part.file).name, known.column)
     except DataError as error:
         raise SceneError("file", f"{error.place} {error.problem}", error.hint) from None
     found.values.flags.writeable = False

@@ -110,9 +110,13 @@ def _amount(unit: str, bounds: Bounds | None = None, words: tuple[str, ...] = ()
     return {"anyOf": [_number(bounds), text, *named], "x-unit": unit}
 
 
+def _array(items: Schema, least: int = 1, most: int | None = None) -> Schema:
+    ends = {"minItems": least} if most is None else {"minItems": least, "maxItems": most}
+    return {"type": "array", "items": items, **ends}
+
+
 def _curve(x: Schema, y: Schema) -> Schema:
-    point = {"type": "array", "prefixItems": [x, y], "minItems": 2, "maxItems": 2}
-    return {"type": "array", "items": point, "minItems": 1}
+    return _array({"type": "array", "prefixItems": [x, y], "minItems": 2, "maxItems": 2})
 
 
 def _one_table(spec: Parameter, parts: dict[str, Schema]) -> Schema:
@@ -164,11 +168,7 @@ def _choice(spec: Parameter) -> Schema:
 _KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = {
     "quantity": lambda spec, _: _amount(spec.unit, spec.bounds, spec.options),
     "measure": lambda spec, _: _MEASURE,
-    "measure_points": lambda spec, _: {
-        "type": "array",
-        "minItems": 1,
-        "items": {"type": "array", "items": _MEASURE, "minItems": 2, "maxItems": 2},
-    },
+    "measure_points": lambda spec, _: _array(_array(_MEASURE, 2, 2)),
     "number": lambda spec, _: _number(spec.bounds),
     "count": lambda spec, _: _number(spec.bounds, "integer"),
     "choice": lambda spec, _: _choice(spec),
@@ -176,29 +176,13 @@ _KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = 
     "file_path": lambda spec, _: {"type": "string", "minLength": 1},
     "flag": lambda spec, _: {"type": "boolean"},
     "names": lambda spec, _: {"type": "array", "items": {"enum": list(spec.options)}},
-    "interval": lambda spec, _: {
-        "type": "array",
-        "items": _amount(spec.unit, spec.bounds),
-        "minItems": 2,
-        "maxItems": 2,
-    },
-    "vector": lambda spec, _: {
-        "type": "array",
-        "items": _amount(spec.unit, spec.bounds),
-        "minItems": 2,
-        "maxItems": 3,
-    },
+    "interval": lambda spec, _: _array(_amount(spec.unit, spec.bounds), 2, 2),
+    "vector": lambda spec, _: _array(_amount(spec.unit, spec.bounds), 2, 3),
     "whole_numbers": lambda spec, _: {
-        "type": "array",
-        "items": {"type": "integer", "minimum": 0},
-        "minItems": 1,
+        **_array({"type": "integer", "minimum": 0}),
         "uniqueItems": True,
     },
-    "moments": lambda spec, _: {
-        "type": "array",
-        "items": _amount(spec.unit, spec.bounds),
-        "minItems": 1,
-    },
+    "moments": lambda spec, _: _array(_amount(spec.unit, spec.bounds)),
     "course": lambda spec, _: {
         "anyOf": [_number(spec.bounds), _curve(_amount("s"), _number(spec.bounds))],
     },

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multicell.cells import FloatArray, stokes_drag
-from multicell.contact.law import effective_modulus, effective_radius
+from multicell.contact.law import PairLaw, effective_modulus, effective_radius
 from multicell.contact.pair import Pair
 from multicell.scene.sizes import birth_radius, division_radius, mean_scale, radius_scales
 
 if TYPE_CHECKING:
-    from multicell.contact.law import PairLaw
     from multicell.mechanics.compression import TissueCompression
     from multicell.scene.scene import Scene
 

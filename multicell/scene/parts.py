@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multicell.behaviours.growth_laws.laws import GROWTH_LAWS, GrowthLaw
 from multicell.errors import SceneError
@@ -32,16 +33,14 @@ from multicell.schema import (
     vector,
 )
 from multicell.units import shown
-from multicell.vectors import wrapped
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from multicell.vectors import FloatArray
+from multicell.vectors import FloatArray, wrapped
 
 span = partial(interval, "um", at_least=-1e6, at_most=1e6)
 """Declares the ends of something along an axis."""
 _stiffness = partial(quantity, "kPa", default=None, above=0, at_most=1e9)
+_poisson = partial(
+    number, above=-1, at_most=0.5, hint="No isotropic solid has a Poisson ratio above 0.5."
+)
 
 
 @final
@@ -59,13 +58,7 @@ class CellParameters:
     young_variation: float = number(
         default=0.1, at_least=0, at_most=0.5, doc="coefficient of variation of Young's modulus"
     )
-    poisson: float = number(
-        default=0.5,
-        above=-1,
-        at_most=0.5,
-        doc="Poisson ratio",
-        hint="No isotropic solid has a Poisson ratio above 0.5.",
-    )
+    poisson: float = _poisson(default=0.5, doc="Poisson ratio")
     reaction_time: float = quantity(
         "s",
         default=7200.0,
@@ -667,12 +660,8 @@ class Domain:
         "cells and fields meet those at the other side",
     )
     young: float | None = _stiffness(doc="Young's modulus of the walls; absent: that of the cells")
-    poisson: float | None = number(
-        default=None,
-        above=-1,
-        at_most=0.5,
-        doc="Poisson ratio of the walls; absent: that of the cells",
-        hint="No isotropic solid has a Poisson ratio above 0.5.",
+    poisson: float | None = _poisson(
+        default=None, doc="Poisson ratio of the walls; absent: that of the cells"
     )
 
     def check(self) -> None:

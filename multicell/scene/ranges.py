@@ -11,7 +11,7 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from multicell.cells import HALF
-from multicell.contact.law import effective_modulus, effective_radius
+from multicell.contact.law import PairLaw, effective_modulus, effective_radius
 from multicell.errors import SceneError
 from multicell.host.memory import physical_memory
 from multicell.integrators.registry import METHODS
@@ -19,7 +19,6 @@ from multicell.scene.pairs import largest_adhesion, law_by_types
 from multicell.scene.sizes import division_radii
 
 if TYPE_CHECKING:
-    from multicell.contact.law import PairLaw
     from multicell.scene.scene import Scene
 
 

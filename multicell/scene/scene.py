@@ -15,6 +15,7 @@ from dataclasses import is_dataclass
 from difflib import get_close_matches
 from functools import lru_cache
 from html import escape
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -368,8 +369,6 @@ class Scene:
 
 def scene_names() -> list[str]:
     """Return the names of the built-in scenes."""
-    from importlib.resources import files
-
     found = (entry.name for entry in files("multicell.scenes").iterdir())
     return sorted(name.removesuffix(".toml") for name in found if name.endswith(".toml"))
 
@@ -465,8 +464,6 @@ _BARE = re.compile(r"^[ \t]*[\w.]+[ \t]*=[ \t]*([\d.]+ *[A-Za-zµ%][^\s#]*)", re
 
 def _built_in(name: str) -> Path:
     """Return the file of a built-in scene."""
-    from importlib.resources import files
-
     return Path(str(files("multicell.scenes") / f"{name}.toml"))
 
 
@@ -579,8 +576,6 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
 
 def _meant(scene: Scene, key: str) -> str:
     """Return the full key that a short one may mean in a scene, as a hint."""
-    from multicell.schema import leaves
-
     word = _NAMES.get(key.lower(), key)
     fields = {name.lower(): name for name in scene.nutrients}
     if word.lower() in fields:

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import SPHERE
+from multicell.cells import SPHERE, FloatArray
 
 if TYPE_CHECKING:
-    from multicell.cells import FloatArray
     from multicell.mechanics.brownian import BrownianPaths
     from multicell.scene.scene import Scene
 

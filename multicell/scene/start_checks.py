@@ -7,19 +7,17 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import HALF, Phase, State
+from multicell.cells import HALF, FloatArray, Phase, State
 from multicell.errors import DataError
 from multicell.scene.domain import strayed
 from multicell.scene.sizes import birth_radius, division_radii, radius_scales
-from multicell.scene.start_table import near_pairs, positions, refuse_coinciding
+from multicell.scene.start_table import Given, near_pairs, positions, refuse_coinciding
 from multicell.schema import near_miss
 from multicell.tables.titles import titled
 from multicell.units import shown, whole_number
 
 if TYPE_CHECKING:
-    from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
-    from multicell.scene.start_table import Given
 
 _ROUNDING: Final = 1e-6  # relative: tables may be written with seven digits
 _BEYOND: Final = 2.0 ** (1.0 / 3.0)

@@ -19,7 +19,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import Cells, Phase, State
+from multicell.cells import Cells, FloatArray, Phase, State
 from multicell.errors import DataError, SceneError
 from multicell.scene.own_files import made_whole
 from multicell.schema import (
@@ -40,7 +40,6 @@ from multicell.units import RANGES, shown
 from multicell.vectors import lengths, nearest_differences, wrapped
 
 if TYPE_CHECKING:
-    from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
 
 _MAX_BYTES: Final = 16_000_000_000

@@ -167,13 +167,13 @@ def choice(
 
 def text(*, default: Any = MISSING, doc: str = "") -> Any:
     """Declare one line of printable text."""
+    return declare("text", _line, default, doc=doc)
 
-    def convert(value: object, path: str) -> str:
-        if not isinstance(value, str) or not value.isprintable():
-            raise SceneError(path, f"is {shown(value)}, must be one line of text")
-        return value
 
-    return declare("text", convert, default, doc=doc)
+def _line(value: object, path: str) -> str:
+    if not isinstance(value, str) or not value.isprintable():
+        raise SceneError(path, f"is {shown(value)}, must be one line of text")
+    return value
 
 
 def file_path(*, doc: str = "") -> Any:
@@ -355,34 +355,22 @@ def schedule(unit: str, *, doc: str = "", **ends: float) -> Any:
 def quantities(unit: str, *, doc: str = "", **ends: float) -> Any:
     """Declare an optional table of names to quantities, or to numbers where ``unit`` is empty."""
     bounds = Bounds(**ends)
-    read = reader(unit, bounds)
-    return declare(
-        # an empty table says no more than an absent one, which is how it would be written
-        "quantities",
-        lambda value, path: read_named(value, path, read) or None,
-        None,
-        plain=dict,
-        unit=unit,
-        doc=doc,
-        bounds=bounds,
-    )
+    return _named("quantities", reader(unit, bounds), doc=doc, unit=unit, bounds=bounds)
 
 
 def texts(*, doc: str = "") -> Any:
     """Declare an optional table of names to lines of text."""
+    return _named("texts", _line, doc=doc)
 
-    def one(value: object, path: str) -> str:
-        if not isinstance(value, str) or not value.isprintable():
-            raise SceneError(path, f"is {shown(value)}, must be one line of text")
-        return value
 
-    return declare(
-        "texts",
-        lambda value, path: read_named(value, path, one) or None,
-        None,
-        plain=dict,
-        doc=doc,
-    )
+def _named(kind: str, one: Callable[[Any, str], Any], plain: Any = dict, **more: Any) -> Any:
+    """Declare an optional table of names to what ``one`` reads."""
+
+    def convert(value: object, path: str) -> Any:
+        # an empty table says no more than an absent one, which is how it would be written
+        return read_named(value, path, one) or None
+
+    return declare(kind, convert, None, plain=plain, **more)
 
 
 @final
@@ -421,13 +409,7 @@ def drawn_numbers(*, doc: str = "") -> Any:
     def to_plain(value: Mapping[str, Any]) -> dict[str, Any]:
         return {name: x._asdict() if isinstance(x, Draw) else x for name, x in value.items()}
 
-    return declare(
-        "drawn_numbers",
-        lambda value, path: read_named(value, path, one) or None,
-        None,
-        plain=to_plain,
-        doc=doc,
-    )
+    return _named("drawn_numbers", one, to_plain, doc=doc)
 
 
 def table(

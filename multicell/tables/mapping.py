@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from multicell.errors import DataError
 from multicell.host.files import parse_toml, read_text
 from multicell.schema import near_miss
+from multicell.tables.titles import split_title
 from multicell.units import unit_factor
 
 SETTINGS: Final = ("pixel", "slice", "sheet", "image")
@@ -240,7 +241,7 @@ def _column(
     """Return title and content of one column."""
     if not source.titles:
         return _titled(name, source.unit), np.full(count, source.scale)
-    unit = source.unit or _own_unit(source.titles[-1])
+    unit = source.unit or split_title(source.titles[-1])[1]
     power, unit = names.length(unit, table)
     scale = source.scale * power
     size = next((k for k in (2, 3) if unit_factor(unit, f"um^{k}") is not None), 0)
@@ -262,12 +263,6 @@ def equal_radius(size: NDArray[np.float64], dimensions: int) -> NDArray[np.float
     if dimensions == 2:
         return np.asarray(np.sqrt(size / np.pi))
     return np.asarray(np.cbrt(0.75 * size / np.pi))
-
-
-def _own_unit(title: str) -> str:
-    from multicell.tables.titles import split_title
-
-    return split_title(title)[1]
 
 
 def _titled(name: str, unit: str) -> str:

@@ -59,23 +59,17 @@ WRITERS: Final = (
         _axes("Position X", "Position Y", "Position Z", unit="{unit}") | {"frame": ("Time",)},
         units="Unit",
     ),
-    Writer(
-        "objects of CellProfiler",
-        ("ImageNumber", "ObjectNumber", "Location_Center_X"),
-        _axes("Location_Center_X", "Location_Center_Y", "Location_Center_Z")
-        | {
-            "radius": ("AreaShape_Volume pixel^3", "AreaShape_Area pixel^2"),
-            "frame": ("ImageNumber",),
-        },
-    ),
-    Writer(
-        "objects of CellProfiler",
-        ("ImageNumber", "ObjectNumber", "AreaShape_Center_X"),
-        _axes("AreaShape_Center_X", "AreaShape_Center_Y", "AreaShape_Center_Z")
-        | {
-            "radius": ("AreaShape_Volume pixel^3", "AreaShape_Area pixel^2"),
-            "frame": ("ImageNumber",),
-        },
+    *(
+        Writer(
+            "objects of CellProfiler",
+            ("ImageNumber", "ObjectNumber", f"{of}_Center_X"),
+            _axes(f"{of}_Center_X", f"{of}_Center_Y", f"{of}_Center_Z")
+            | {
+                "radius": ("AreaShape_Volume pixel^3", "AreaShape_Area pixel^2"),
+                "frame": ("ImageNumber",),
+            },
+        )
+        for of in ("Location", "AreaShape")
     ),
     Writer(
         "regions of scikit-image (Cellpose, StarDist)",
@@ -157,7 +151,7 @@ def map_of(
     - ``unit``: of lengths, that the table states; empty: none
     - ``settings``: what the user says of the whole table
     """
-    found = {name: settings.entries[name] for name in settings.entries}
+    found = dict(settings.entries)
     for name, texts in writer.columns.items():
         for text in texts:
             text = text.format(unit=unit or "pixel")

@@ -8,7 +8,7 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.errors import MulticellError
-from multicell.testing.promises import BrokenPromise, carry_out_checks, require
+from multicell.testing.promises import BrokenPromise, carry_out_tests, require
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -43,28 +43,76 @@ class FieldSolverTests:
     accuracy: ClassVar[float] = 5e-3
     """How far concentrations may be off, over the level outside."""
 
-    def _subject(self, solver: str) -> FieldSolver:
-        return FieldSolver(solver, self.options, steady=self.steady, accuracy=self.accuracy)
+    def _solve(self, solver: str, equation: FieldEquation, start: float, time: float) -> FloatArray:
+        """Return the concentrations after a time; an exception is a promise that is not kept."""
+        state: Any = equation.state(dict.fromkeys(equation.names, start))
+        before = np.array(state.data)
+        try:
+            end: Any = equation.solve(state, time, solver=solver, tracker=None, **self.options)
+        except (MulticellError, ArithmeticError, ValueError, RuntimeError) as error:
+            raise BrokenPromise(f"it raises {type(error).__name__}: {error}") from error
+        require(np.array_equal(state.data, before), "it changes the state that it was given")
+        found = np.array(end.data)
+        require(np.isfinite(found).all(), "it returns something that is no number")
+        return found
+
+    def _compare(self, found: FloatArray, wanted: FloatArray, where: str) -> None:
+        """See that concentrations are near enough to others."""
+        off = float(np.abs(found - wanted).max()) / _LEVEL
+        problem = f"{where} it is off by {off:.2g} of the level, more than {self.accuracy:g}"
+        require(off <= self.accuracy, problem)
 
     def test_a_filling_ball_is_that_of_a_matrix_exponential(self, solver: str) -> None:
         """Diffusion with decay into an empty ball, in time and at rest."""
-        _check_filling(self._subject(solver))
+        from scipy.linalg import expm, solve
+
+        equation, nothing = _ball(), np.zeros(_SHELLS)
+        brought = _rates(equation, nothing)
+        matrix = np.stack([_rates(equation, unit) - brought for unit in np.eye(_SHELLS)], axis=1)
+        rest = -solve(matrix, brought)
+        for time in () if self.steady else _TIMES:
+            exact = rest - expm(matrix * time) @ rest
+            found = self._solve(solver, equation, 0.0, time)
+            self._compare(found, exact, f"after {time:g} s in a ball that fills")
+        self._compare(
+            self._solve(solver, equation, 0.0, _RESTED), rest, "at rest in a ball with decay"
+        )
 
     def test_saturating_uptake_is_that_of_scipy(self, solver: str) -> None:
         """Cells whose uptake saturates, by SciPy's LSODA on the rates of the equation."""
-        _check_uptake(self._subject(solver))
+        from scipy.integrate import solve_ivp
+
+        equation, start = _ball(uptake=0.01), np.full(_SHELLS, _LEVEL)
+        time = _RESTED if self.steady else _TIMES[1]
+
+        def slopes(_: float, c: FloatArray) -> FloatArray:
+            return _rates(equation, c)
+
+        exact = solve_ivp(slopes, (0.0, time), start, "LSODA", rtol=1e-9, atol=1e-12)
+        self._compare(
+            self._solve(solver, equation, _LEVEL, time),
+            exact.y[:, -1],
+            "with uptake that saturates",
+        )
 
     def test_nothing_is_negative(self, solver: str) -> None:
         """However hard cells take up, no concentration is below zero."""
-        _check_sign(self._subject(solver))
+        hard = _ball(uptake=50.0, half=1e-3)
+        least = float(self._solve(solver, hard, _LEVEL, _TIMES[0]).min())
+        problem = f"where cells take up hard it has a concentration of {least:.2g} mM"
+        require(least >= -_BELOW * _LEVEL, problem)
 
     def test_substances_do_not_mix(self, solver: str) -> None:
         """A substance has the concentrations that it has without another."""
-        _check_substances(self._subject(solver))
+        time = _RESTED if self.steady else _TIMES[1]
+        alone = self._solve(solver, _ball(uptake=0.01), 0.0, time)
+        both = self._solve(solver, _ball(uptake=0.01, others=1), 0.0, time)
+        self._compare(both[0], alone, "beside another substance")
 
     def test_it_gives_the_same_bits_again(self, solver: str) -> None:
         """The same bits come out again, and the state that was given is left as it was."""
-        _check_again(self._subject(solver))
+        first, again = (self._solve(solver, _ball(uptake=0.01), 0.0, _TIMES[0]) for _ in range(2))
+        require(np.array_equal(first, again), "it does not give the same bits again")
 
 
 def check_field_solver(
@@ -92,38 +140,8 @@ def check_field_solver(
     **options
         Arguments of the solver.
     """
-    checks = (_check_filling, _check_uptake, _check_sign, _check_substances, _check_again)
-    subject = FieldSolver(solver, options, steady=steady, accuracy=accuracy)
-    carry_out_checks(checks, subject, solver)
-
-
-class FieldSolver:
-    """A solver by its name, and what is asked of it."""
-
-    def __init__(
-        self, name: str, options: Mapping[str, Any], *, steady: bool, accuracy: float
-    ) -> None:
-        self.name, self.options, self.steady = name, dict(options), steady
-        self.accuracy = accuracy
-
-    def solve(self, equation: FieldEquation, start: float, time: float) -> FloatArray:
-        """Return the concentrations after a time; an exception is a promise that is not kept."""
-        state: Any = equation.state(dict.fromkeys(equation.names, start))
-        before = np.array(state.data)
-        try:
-            end: Any = equation.solve(state, time, solver=self.name, tracker=None, **self.options)
-        except (MulticellError, ArithmeticError, ValueError, RuntimeError) as error:
-            raise BrokenPromise(f"it raises {type(error).__name__}: {error}") from error
-        require(np.array_equal(state.data, before), "it changes the state that it was given")
-        found = np.array(end.data)
-        require(np.isfinite(found).all(), "it returns something that is no number")
-        return found
-
-    def compare(self, found: FloatArray, wanted: FloatArray, where: str) -> None:
-        """See that concentrations are near enough to others."""
-        off = float(np.abs(found - wanted).max()) / _LEVEL
-        problem = f"{where} it is off by {off:.2g} of the level, more than {self.accuracy:g}"
-        require(off <= self.accuracy, problem)
+    given = {"options": options, "steady": steady, "accuracy": accuracy}
+    carry_out_tests(type("Given", (FieldSolverTests,), given)(), solver, solver)
 
 
 def _ball(uptake: float = 0.0, half: float = 0.02, others: int = 0) -> FieldEquation:
@@ -146,51 +164,3 @@ def _ball(uptake: float = 0.0, half: float = 0.02, others: int = 0) -> FieldEqua
 def _rates(equation: FieldEquation, c: FloatArray) -> FloatArray:
     state = equation.state({"a": c})
     return np.array(equation.evolution_rate(state).data)
-
-
-def _check_filling(solver: FieldSolver) -> None:
-    from scipy.linalg import expm, solve
-
-    equation, nothing = _ball(), np.zeros(_SHELLS)
-    brought = _rates(equation, nothing)
-    matrix = np.stack([_rates(equation, unit) - brought for unit in np.eye(_SHELLS)], axis=1)
-    rest = -solve(matrix, brought)
-    for time in () if solver.steady else _TIMES:
-        exact = rest - expm(matrix * time) @ rest
-        found = solver.solve(equation, 0.0, time)
-        solver.compare(found, exact, f"after {time:g} s in a ball that fills")
-    solver.compare(solver.solve(equation, 0.0, _RESTED), rest, "at rest in a ball with decay")
-
-
-def _check_uptake(solver: FieldSolver) -> None:
-    from scipy.integrate import solve_ivp
-
-    equation, start = _ball(uptake=0.01), np.full(_SHELLS, _LEVEL)
-    time = _RESTED if solver.steady else _TIMES[1]
-
-    def slopes(_: float, c: FloatArray) -> FloatArray:
-        return _rates(equation, c)
-
-    exact = solve_ivp(slopes, (0.0, time), start, "LSODA", rtol=1e-9, atol=1e-12)
-    solver.compare(
-        solver.solve(equation, _LEVEL, time), exact.y[:, -1], "with uptake that saturates"
-    )
-
-
-def _check_sign(solver: FieldSolver) -> None:
-    hard = _ball(uptake=50.0, half=1e-3)
-    least = float(solver.solve(hard, _LEVEL, _TIMES[0]).min())
-    problem = f"where cells take up hard it has a concentration of {least:.2g} mM"
-    require(least >= -_BELOW * _LEVEL, problem)
-
-
-def _check_substances(solver: FieldSolver) -> None:
-    time = _RESTED if solver.steady else _TIMES[1]
-    alone = solver.solve(_ball(uptake=0.01), 0.0, time)
-    both = solver.solve(_ball(uptake=0.01, others=1), 0.0, time)
-    solver.compare(both[0], alone, "beside another substance")
-
-
-def _check_again(solver: FieldSolver) -> None:
-    first, again = (solver.solve(_ball(uptake=0.01), 0.0, _TIMES[0]) for _ in range(2))
-    require(np.array_equal(first, again), "it does not give the same bits again")

@@ -16,7 +16,7 @@ from multicell.integrators.base import Integrator, MethodInfo, Outcome, build_me
 from multicell.integrators.own import method_info
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
-from multicell.testing.promises import BrokenPromise, carry_out_checks, fail_with, require
+from multicell.testing.promises import BrokenPromise, carry_out_tests, fail_with, require
 
 TRIED_BEGIN, TRIED_END = 30.0, 110.0
 """The interval of the problem that is solved, s."""
@@ -59,9 +59,7 @@ def check_integrator(method: Any) -> None:
     SceneError
         If there is no such method, it is no integrator, or cannot be made.
     """
-    info = settable(method)
-    checks = (_check_errors, _check_inputs, _check_counts, _check_repetition, _check_failures)
-    carry_out_checks((*checks, _check_lone_cell), info, info.name)
+    carry_out_tests(IntegratorTests(), method, settable(method).name)
 
 
 class IntegratorTests:
@@ -78,27 +76,84 @@ class IntegratorTests:
 
     def test_errors_fall_as_claimed(self, method: Any) -> None:
         """The error falls with the step by the claimed order, or follows the tolerance."""
-        _check_errors(settable(method))
+        info = settable(method)
+        settings: Sequence[float] = TRIED_STEPS if info.control == "step" else TRIED_TOLERANCES
+        errors = np.array(
+            [np.abs(_finished(info, value, _spheres())[0] - _exact()).max() for value in settings]
+        )
+        pairs = zip(settings, errors, strict=True)
+        listed = ", ".join(f"{error:.2g} um at {setting:g}" for setting, error in pairs)
+        if info.control == "tolerance":
+            require(
+                (errors <= _WORST * np.array(settings)).all(),
+                f"its errors do not follow the tolerance: {listed}",
+            )
+            return
+        seen = errors > _ROUNDING
+        if seen.sum() < 2:
+            return
+        order = float(np.polyfit(np.log(np.array(settings)[seen]), np.log(errors[seen]), 1)[0])
+        claimed = 1.0 if info.order is None else info.order
+        require(order >= claimed - _ORDER, f"its order is {order:.2f}, not {claimed:g}: {listed}")
 
     def test_inputs_are_left_as_they_were(self, method: Any) -> None:
         """Positions and what is known of the cells are left as they were."""
-        _check_inputs(settable(method))
+        info = settable(method)
+        system, position = _spheres()
+        motion, before = system.motion, position.copy()
+        known = {f.name: np.array(getattr(motion, f.name)) for f in fields(motion)}
+        outcome, _ = _solved(_instantiate(info, _usual(info)), (system, position))
+        require((position == before).all(), "it changes the positions that it was given")
+        same = system.motion is motion and all(
+            np.array_equal(value, np.array(getattr(motion, name))) for name, value in known.items()
+        )
+        require(same, "it changes what is known of the cells (system.motion)")
+        require(
+            not np.shares_memory(outcome.position, position),
+            "it returns the array that it was given, and not one of its own",
+        )
 
     def test_work_is_counted(self, method: Any) -> None:
         """Evaluations and steps are counted, and no step is taken for rounding alone."""
-        _check_counts(settable(method))
+        info = settable(method)
+        _, system = _finished(info, _usual(info), _spheres())
+        work = system.work
+        require(work.evaluations > 0, "its evaluations do not go through the system")
+        require(work.steps > 0, "it does not count its steps in system.work.steps")
+        if info.control == "step":
+            count = math.ceil((TRIED_END - TRIED_BEGIN) / _usual(info))
+            require(work.steps == count, f"it counts {work.steps} steps where there are {count}")
+            # 1.0 - 0.7 is a little more than three steps of 0.1
+            _, system = _solved(_instantiate(info, 0.1), _lone(begin=0.7, end=1.0))
+            taken = system.work.steps
+            require(taken == 3, f"it takes {taken} steps of 0.1 s from 0.7 s to 1 s, and not 3")
 
     def test_it_gives_the_same_bits_again(self, method: Any) -> None:
         """The same bits come out again, also after the object has solved something else."""
-        _check_repetition(settable(method))
+        info = settable(method)
+        method = _instantiate(info, _usual(info))
+        first, _ = _solved(method, _spheres())
+        _solved(method, _lone(3))
+        again, _ = _solved(method, _spheres())
+        same = np.array_equal(first.position, again.position, equal_nan=True)
+        require(same, "it does not give the same bits again")
 
     def test_failures_end_with_words(self, method: Any) -> None:
         """A state that is no number ends with words and not with an exception."""
-        _check_failures(settable(method))
+        info = settable(method)
+        system, position = _spheres()
+        position[2, 1] = np.nan
+        outcome, _ = _solved(_instantiate(info, _usual(info)), (system, position))
+        require(not outcome.done, "it calls a state done that is no number")
+        require(
+            outcome.time == TRIED_BEGIN, "it reports progress from a state that is not a number"
+        )
 
     def test_a_lone_cell_stays(self, method: Any) -> None:
         """A single cell that nothing pushes stays where it is."""
-        _check_lone_cell(settable(method))
+        info = settable(method)
+        found, _ = _finished(info, _usual(info), _lone())
+        require((found == _lone()[1]).all(), "it moves a single cell that nothing pushes")
 
 
 def settable(method: Any) -> MethodInfo:
@@ -191,76 +246,3 @@ def _finished(
         f"{at} it does not return numbers for all cells",
     )
     return outcome.position, system
-
-
-def _check_errors(info: MethodInfo) -> None:
-    settings: Sequence[float] = TRIED_STEPS if info.control == "step" else TRIED_TOLERANCES
-    errors = np.array(
-        [np.abs(_finished(info, value, _spheres())[0] - _exact()).max() for value in settings]
-    )
-    pairs = zip(settings, errors, strict=True)
-    listed = ", ".join(f"{error:.2g} um at {setting:g}" for setting, error in pairs)
-    if info.control == "tolerance":
-        require(
-            (errors <= _WORST * np.array(settings)).all(),
-            f"its errors do not follow the tolerance: {listed}",
-        )
-        return
-    seen = errors > _ROUNDING
-    if seen.sum() < 2:
-        return
-    order = float(np.polyfit(np.log(np.array(settings)[seen]), np.log(errors[seen]), 1)[0])
-    claimed = 1.0 if info.order is None else info.order
-    require(order >= claimed - _ORDER, f"its order is {order:.2f}, not {claimed:g}: {listed}")
-
-
-def _check_inputs(info: MethodInfo) -> None:
-    system, position = _spheres()
-    motion, before = system.motion, position.copy()
-    known = {f.name: np.array(getattr(motion, f.name)) for f in fields(motion)}
-    outcome, _ = _solved(_instantiate(info, _usual(info)), (system, position))
-    require((position == before).all(), "it changes the positions that it was given")
-    same = system.motion is motion and all(
-        np.array_equal(value, np.array(getattr(motion, name))) for name, value in known.items()
-    )
-    require(same, "it changes what is known of the cells (system.motion)")
-    require(
-        not np.shares_memory(outcome.position, position),
-        "it returns the array that it was given, and not one of its own",
-    )
-
-
-def _check_counts(info: MethodInfo) -> None:
-    _, system = _finished(info, _usual(info), _spheres())
-    work = system.work
-    require(work.evaluations > 0, "its evaluations do not go through the system")
-    require(work.steps > 0, "it does not count its steps in system.work.steps")
-    if info.control == "step":
-        count = math.ceil((TRIED_END - TRIED_BEGIN) / _usual(info))
-        require(work.steps == count, f"it counts {work.steps} steps where there are {count}")
-        # 1.0 - 0.7 is a little more than three steps of 0.1
-        _, system = _solved(_instantiate(info, 0.1), _lone(begin=0.7, end=1.0))
-        taken = system.work.steps
-        require(taken == 3, f"it takes {taken} steps of 0.1 s from 0.7 s to 1 s, and not 3")
-
-
-def _check_repetition(info: MethodInfo) -> None:
-    method = _instantiate(info, _usual(info))
-    first, _ = _solved(method, _spheres())
-    _solved(method, _lone(3))
-    again, _ = _solved(method, _spheres())
-    same = np.array_equal(first.position, again.position, equal_nan=True)
-    require(same, "it does not give the same bits again")
-
-
-def _check_failures(info: MethodInfo) -> None:
-    system, position = _spheres()
-    position[2, 1] = np.nan
-    outcome, _ = _solved(_instantiate(info, _usual(info)), (system, position))
-    require(not outcome.done, "it calls a state done that is no number")
-    require(outcome.time == TRIED_BEGIN, "it reports progress from a state that is not a number")
-
-
-def _check_lone_cell(info: MethodInfo) -> None:
-    found, _ = _finished(info, _usual(info), _lone())
-    require((found == _lone()[1]).all(), "it moves a single cell that nothing pushes")

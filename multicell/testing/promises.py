@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any, final
 
 
@@ -17,12 +17,12 @@ def require(kept: object, problem: str) -> None:
         raise BrokenPromise(problem)
 
 
-def carry_out_checks(checks: Iterable[Callable[[Any], None]], subject: Any, name: str) -> None:
-    """Raise ``AssertionError`` with all promises that checks of a subject find broken."""
+def carry_out_tests(tests: object, subject: Any, name: str) -> None:
+    """Raise ``AssertionError`` with all promises that methods ``test_...`` find broken."""
     problems = []
-    for check in checks:
+    for test in (x for kind in type(tests).__mro__ for x in vars(kind) if x.startswith("test_")):
         try:
-            check(subject)
+            getattr(tests, test)(subject)
         except BrokenPromise as error:
             problems.append(str(error))
     fail_with(name, problems)

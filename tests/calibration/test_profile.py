@@ -170,7 +170,7 @@ def test_both_ways_in_which_arviz_takes_groups_have_the_same(fit, from_dict, mon
     stand_in = ModuleType("arviz")
     stand_in.from_dict = from_dict
     monkeypatch.setitem(sys.modules, "arviz", stand_in)
-    monkeypatch.setattr("multicell.calibration.fitting.to_arviz.needs", lambda *names: None)
+    monkeypatch.setattr("multicell.calibration.fitting.result.needs", lambda *names: None)
     kind, groups, more = fit.to_arviz()
     assert kind == {"one_dictionary": "one"}.get(from_dict.__name__, "arguments")
     assert more == {}

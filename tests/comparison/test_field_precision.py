@@ -12,9 +12,10 @@ from scipy.integrate import solve_ivp
 
 import multicell as mc
 from multicell.cli.main import main
-from multicell.comparison.field_precision import FIELD_FILES, compare_fields
+from multicell.comparison.field_precision import compare_fields
 from multicell.comparison.field_steps import record_fields, solve_fields
 from multicell.comparison.measured import LOG_FILE
+from multicell.comparison.numbers import COMPARISON_FILES
 from multicell.errors import SceneError
 from multicell.results.documents import Lines
 
@@ -84,7 +85,7 @@ def test_fixed_steps_have_their_order(compared):
 
 def test_files_table_and_verdict(compared):
     result, folder = compared
-    assert {file.name for file in folder.iterdir()} == set(FIELD_FILES)
+    assert {file.name for file in folder.iterdir()} == {*COMPARISON_FILES} - {"conditioning.csv"}
     assert mc.FieldPrecision.read(folder / "workprecision.json").table == result.table
     assert re.match(r"At 1 %: \S+, (\S+ times|no) cheaper than \S+", result.verdict())
     page = (folder / "report.html").read_text(encoding="utf-8")

@@ -13,9 +13,10 @@ from click.testing import CliRunner
 import multicell as mc
 from multicell.cli.main import main
 from multicell.comparison.measured import LOG_FILE
-from multicell.comparison.network_precision import NETWORK_FILES, compare_networks
+from multicell.comparison.network_precision import compare_networks
 from multicell.comparison.network_reference import cvode_end, largest_rates
 from multicell.comparison.network_steps import record_network, solve_steps
+from multicell.comparison.numbers import COMPARISON_FILES
 from multicell.comparison.stability_limits.networks import network_stability
 from multicell.comparison.stability_limits.trial import BLOW_UP
 from multicell.errors import SceneError
@@ -88,7 +89,7 @@ def test_error_falls_with_the_tolerance_and_the_files_are_there(compared):
         rows = {row["setting"]: row["error_worst_cell"] for row in result.rows(method)}
         assert len(rows) == 9
         assert rows[1e-9] < 1e-7 < rows[0.1]
-    assert {file.name for file in folder.iterdir()} == set(NETWORK_FILES)
+    assert {file.name for file in folder.iterdir()} == {*COMPARISON_FILES} - {"conditioning.csv"}
     assert not (folder / LOG_FILE).exists()
     # by CPU time, which on a busy machine may favour either of two methods that are close
     assert re.fullmatch(

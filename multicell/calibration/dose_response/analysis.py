@@ -14,6 +14,7 @@ import numpy as np
 from multicell.calibration.dose_response.curve import (
     DOSES,
     LEAST,
+    Estimate,
     combine_drugs,
     draw_means,
     fit_curve,
@@ -24,6 +25,7 @@ from multicell.errors import DataError, ExitCode, FitFailed, OutputError, SceneE
 from multicell.host.extras import needs
 from multicell.measured.columns import finite_entry
 from multicell.measured.table import read_measurements
+from multicell.scene.scene import load_scene
 from multicell.studies.axes import QUANTITY, Axis, is_numeric, parse_axis
 from multicell.studies.keys import key_of
 from multicell.studies.limits import check_seeds
@@ -37,7 +39,6 @@ from multicell.units import shown
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from multicell.calibration.dose_response.curve import Estimate
     from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
     from multicell.studies.engine import RunOutcome
@@ -172,8 +173,6 @@ def plan_dose_response(
 
     Parameters and errors are those of :func:`dose_response`.
     """
-    from multicell.scene.scene import load_scene
-
     needs("distributed")
     if scene is None or doses is None or (dose is None) == (combine is None):
         problem = "needs a scene, doses, and the key of one drug (dose) or of two (combine)"

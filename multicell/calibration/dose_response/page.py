@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
 
-from multicell.calibration.dose_response.curve import DOSES, TOTALS
+from multicell.calibration.dose_response.curve import DOSES, TOTALS, DoseCurve
 from multicell.report.html import write_page
 from multicell.report.plots.style import BLUE, INK, QUIET, RED, SIZE, save_figure, styled
 from multicell.report.wording import written
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from multicell.calibration.dose_response.curve import DoseCurve
     from multicell.calibration.dose_response.numbers import DoseNumbers
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from multicell.calibration.fitting.likelihood import (
     CHECKS,
@@ -18,18 +18,15 @@ from multicell.calibration.fitting.plan import FitPlan, Progress, make_runs, wri
 from multicell.calibration.fitting.pool import open_pool
 from multicell.calibration.fitting.problem import SCATTERS, FitProblem, free_of
 from multicell.calibration.fitting.result import Fit
-from multicell.calibration.fitting.simulator import SceneSimulator
+from multicell.calibration.fitting.simulator import SceneSimulator, Simulator
 from multicell.calibration.fitting.unknown_scatter import check_scatter
 from multicell.errors import SceneError
 from multicell.host.extras import needs
 from multicell.measured.data import ASSUMED, read_data
 from multicell.measured.table import read_measurements
+from multicell.scene.scene import Scene, load_scene
 from multicell.schema import chosen
 from multicell.studies.limits import MAX_RUNS, check_cores, check_runs, check_seeds, whole_between
-
-if TYPE_CHECKING:
-    from multicell.calibration.fitting.simulator import Simulator
-    from multicell.scene.scene import Scene
 
 _LEAST: Final = 10  # sets of parameters that a search must be able to try
 
@@ -160,8 +157,6 @@ def plan_fit(
     simulator: Simulator | None = None,
 ) -> FitPlan:
     """Check all that a fit is given, and run nothing; parameters as of :func:`fit`."""
-    from multicell.scene.scene import load_scene
-
     if isinstance(scene, str | Path):
         scene = load_scene(scene)
     seeds = check_seeds(seeds, scene.seed)

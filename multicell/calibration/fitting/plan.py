@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from multicell.calibration.fitting.likelihood import CHECKS, Fresh, fresh, most_fresh
 from multicell.calibration.fitting.pool import Pool
 from multicell.calibration.fitting.problem import FitProblem
-from multicell.calibration.fitting.search import SEARCH
+from multicell.calibration.fitting.search import SEARCH, Evaluation, Search
 from multicell.errors import OutputError
 from multicell.results.documents import Lines, read_document, write_table
 from multicell.results.folder import (
@@ -40,7 +40,6 @@ from multicell.tables.text import csv_text, table_text
 
 if TYPE_CHECKING:
     from multicell.calibration.fitting.result import Fit
-    from multicell.calibration.fitting.search import Evaluation, Search
     from multicell.scene.scene import Scene
 
 FIT: Final = "fit.json"  # what the folder is a fit of
@@ -188,8 +187,6 @@ def make_runs(
 
     Where the result contradicts itself, and the plan allows more runs, the search continues.
     """
-    from multicell.calibration.fitting.search import Search
-
     begin = clock.monotonic()
     search = Search(plan.problem, None if folder is None else folder / SEARCH)
     points, most = plan.points, plan.points + plan.extra

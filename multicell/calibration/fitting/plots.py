@@ -206,20 +206,8 @@ def _over_axis(axes: Axes, fit: FitNumbers, numbers: Sequence[int], band: Array)
         times = np.array([_abscissa(data[k]) or 0.0 for k in own]) / unit.seconds
         axes.fill_between(times, band[0, own], band[2, own], color=colour, alpha=0.22, linewidth=0)
         axes.plot(times, fit.best.readings[own], color=colour, linewidth=1.8)
-        values, errors = _bars([data[k] for k in own])
         label = fit.problem.measured.conditions[condition].label
-        axes.errorbar(
-            times,
-            values,
-            errors,
-            fmt="o",
-            color=colour,
-            markersize=5,
-            capsize=3,
-            label=label,
-            markeredgecolor="white",
-            markeredgewidth=0.6,
-        )
+        _draw_data(axes, times, [data[k] for k in own], color=colour, label=label)
     axes.set_xlabel("depth below the surface (µm)" if profile else f"time ({unit.name})")
     if not profile:
         axes.set_xlim(left=0.0)
@@ -231,22 +219,11 @@ def _one_by_one(axes: Axes, fit: FitNumbers, numbers: Sequence[int], band: Array
     """Draw the data of one observable side by side."""
     data, places = fit.problem.measured.data, np.arange(len(numbers))
     own = list(numbers)
-    values, errors = _bars([data[k] for k in own])
     lower, upper = band[0, own], band[2, own]
     axes.bar(places, upper - lower, 0.5, bottom=lower, color=BLUE, alpha=0.22, linewidth=0)
     for place, value in zip(places, fit.best.readings[own], strict=True):
         axes.plot([place - 0.25, place + 0.25], [value, value], color=BLUE, linewidth=2.0)
-    axes.errorbar(
-        places,
-        values,
-        errors,
-        fmt="o",
-        color=INK,
-        markersize=5,
-        capsize=3,
-        markeredgecolor="white",
-        markeredgewidth=0.6,
-    )
+    _draw_data(axes, places, [data[k] for k in own], color=INK)
     names = [_place(fit, data[k]) for k in own]
     if len(own) <= _UPRIGHT:
         axes.set_xticks(places, [name.replace(", ", "\n") for name in names], fontsize=9)
@@ -259,12 +236,13 @@ def _one_by_one(axes: Axes, fit: FitNumbers, numbers: Sequence[int], band: Array
     axes.grid(False, axis="x")
 
 
-def _bars(data: Sequence[Datum]) -> tuple[Array, Array]:
-    """Return values and the lower and upper length of their bars, base units."""
-    values = np.array([datum.value for datum in data])
+def _draw_data(axes: Axes, places: Any, data: Sequence[Datum], **how: Any) -> None:
+    """Draw data at places, with bars of one standard deviation."""
     lower = [d.value * -np.expm1(-d.sigma) if d.log else d.deviation for d in data]
     upper = [d.value * np.expm1(d.sigma) if d.log else d.deviation for d in data]
-    return values, np.array([lower, upper])
+    edge: dict[str, Any] = {"markeredgecolor": "white", "markeredgewidth": 0.6}
+    values, bars = [d.value for d in data], np.array([lower, upper])
+    axes.errorbar(places, values, bars, fmt="o", markersize=5, capsize=3, **edge, **how)
 
 
 def _place(fit: FitNumbers, datum: Datum) -> str:

@@ -27,7 +27,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,15 +36,11 @@ from multicell.calibration.fitting.constraints import NO_CONSTRAINTS, Constraint
 from multicell.calibration.fitting.priors import Prior, prior_of, split_free
 from multicell.calibration.fitting.simulator import Reading, Simulator
 from multicell.errors import SceneError
-from multicell.measured.data import Measured
+from multicell.measured.data import Datum, Measured
 from multicell.measured.noise import Array as Array
 from multicell.measured.noise import Noise
 from multicell.measured.observables import may_be_negative
 from multicell.studies.axes import Range, check_ranges, parse_ranges
-
-if TYPE_CHECKING:
-    from multicell.measured.data import Datum
-
 
 SCATTERS: Final = ("stated", "unknown")
 """How large errors of data are: as stated, or times a factor for each observable that is fitted."""

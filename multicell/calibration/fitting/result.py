@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
+import numpy as np
+
 from multicell.calibration.fitting.numbers import FitNumbers
 from multicell.calibration.shared.confidence import LEVEL
+from multicell.errors import FitFailed
 from multicell.host.extras import needs
 
 if TYPE_CHECKING:
@@ -101,9 +105,29 @@ class Fit(FitNumbers):
         FitFailed
             If there is no posterior.
         """
-        from multicell.calibration.fitting.to_arviz import to_arviz
+        needs("arviz")
+        import arviz
 
-        return to_arviz(self)
+        shares, known = self.some_sample(), self.fresh.likelihood
+        if known is None:
+            raise FitFailed("there is no likelihood")
+        problem = self.problem
+        columns = problem.columns(shares)
+        means = (
+            problem.observed + np.maximum(known.predict(shares)[0], problem.lowest) * problem.sigma
+        )
+        predicted = np.array([problem.unscale(row) for row in means])
+        values = np.array([datum.value for datum in problem.measured.data])
+        groups: dict[str, Any] = {
+            "posterior": {name: np.array([column]) for name, column in columns.items()},
+            "log_likelihood": {"data": -0.5 * known.loss(shares)[None]},
+            "posterior_predictive": {"data": predicted[None]},
+            "observed_data": {"data": values},
+        }
+        # from 1 on the groups are one dictionary, before they were arguments
+        if "data" in inspect.signature(arviz.from_dict).parameters:
+            return arviz.from_dict(groups)
+        return arviz.from_dict(**groups)
 
     def predictive_check(self) -> PredictiveCheck:
         """Return posterior predictive checks: whether data like these come from the posterior.

@@ -18,13 +18,10 @@ from multicell.calibration.sensitivity.indices import (
 )
 from multicell.calibration.sensitivity.plan import SensitivityPlan
 from multicell.calibration.sensitivity.result import Sensitivity, SobolIndices
-from multicell.calibration.sensitivity.sobol import (
-    sobol_result,
-    sobol_sample,
-    with_folder,
-)
+from multicell.calibration.sensitivity.sobol import sobol_result, sobol_sample
 from multicell.host.extras import needs
 from multicell.results.quantities import known_unit
+from multicell.scene.scene import load_scene
 from multicell.schema import chosen
 from multicell.studies.axes import Range, check_ranges, parse_ranges
 from multicell.studies.limits import MAX_POINTS, check_runs, check_seeds, whole_between
@@ -127,8 +124,6 @@ def plan_sensitivity(
 
     Parameters and errors are those of :func:`sensitivity`.
     """
-    from multicell.scene.scene import load_scene
-
     needs("SALib", "distributed")
     described = load_scene(scene) if isinstance(scene, str | Path) else scene
     chosen(method, METHODS_OF_ANALYSIS, "method")
@@ -167,10 +162,12 @@ def run_sensitivity_plan(
     final, failures = read_final(outcomes, folder, plan.observables)
     shape = len(plan.study.points), plan.study.seeds
     values = {n: column.reshape(shape)[list(plan.rows)] for n, column in final.items()}
+    found: Sensitivity | SobolIndices
     if plan.method == "sobol":
-        return with_folder(sobol_result(plan, values, failures), folder)
-    result = sample_sensitivity(plan.scene, plan.ranges, plan.seeds, values, failures)
-    result = replace(result, folder=folder)
+        found = sobol_result(plan, values, failures)
+    else:
+        found = sample_sensitivity(plan.scene, plan.ranges, plan.seeds, values, failures)
+    result = replace(found, folder=folder)
     result.write_tables()  # numbers do not wait for a page
     return result
 

@@ -81,7 +81,7 @@ def sample(names: Sequence[str], size: int) -> FloatArray:
     """
     from SALib.sample import morris
 
-    return np.asarray(morris.sample(_problem(names), size, num_levels=_LEVELS, seed=_SAMPLE))
+    return np.asarray(morris.sample(unit_cube(names), size, num_levels=_LEVELS, seed=_SAMPLE))
 
 
 def sensitivity_indices(names: Sequence[str], shares: FloatArray, values: FloatArray) -> Analysis:
@@ -109,7 +109,8 @@ def sensitivity_indices(names: Sequence[str], shares: FloatArray, values: FloatA
     return Analysis(columns, list(map(_verdict, lower.tolist(), floor.tolist())), used)
 
 
-def _problem(names: Sequence[str]) -> dict[str, Any]:
+def unit_cube(names: Sequence[str]) -> dict[str, Any]:
+    """Return parameters between 0 and 1 as SALib takes them."""
     return {"num_vars": len(names), "names": list(names), "bounds": [[0.0, 1.0]] * len(names)}
 
 
@@ -126,7 +127,7 @@ def _effects(names: Sequence[str], shares: FloatArray, mean: FloatArray) -> dict
 
     # of its bootstrap nothing is used
     found = morris.analyze(
-        _problem(names), shares, mean.ravel(), num_resamples=2, num_levels=_LEVELS, seed=_SAMPLE
+        unit_cube(names), shares, mean.ravel(), num_resamples=2, num_levels=_LEVELS, seed=_SAMPLE
     )
     count = len(mean)
     student = float(stats.t.isf(0.5 - 0.5 * LEVEL, count - 1) / math.sqrt(count))

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from multicell.errors import OutputError
-from multicell.results.folder import file_errors, to_json, write_text
+from multicell.results.folder import file_errors, package_version, to_json, versions, write_text
 from multicell.tables.text import table_text
 
 if TYPE_CHECKING:
@@ -22,7 +21,7 @@ Row = dict[str, Any]  # one row of a table: column -> value
 
 
 @dataclass(frozen=True, eq=False)
-class IndexTable(ABC):
+class IndexTable:
     """Indices of each observable and parameter, and the sample that they come from."""
 
     scene: Scene
@@ -37,9 +36,17 @@ class IndexTable(ABC):
     leading: ClassVar[str]
     """The column that orders the rows of an observable."""
 
-    @abstractmethod
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values."""
+        return {
+            "size": self.size,
+            "seeds": self.seeds,
+            "free": [asdict(free) for free in self.ranges],
+            "table": self.table,
+            "notes": self.notes,
+            "versions": {**versions(), "SALib": package_version("SALib")},
+            "scene": self.scene.to_dict(),
+        }
 
     @property
     def observables(self) -> list[str]:

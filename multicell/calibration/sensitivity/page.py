@@ -1,16 +1,17 @@
-"""The page of an analysis of sensitivity, and pictures of indices with their intervals."""
+"""Pages of sensitivity analyses, Morris' and Sobol', and pictures of indices with intervals."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from multicell.calibration.sensitivity.index_page import sensitivity_title, write_indices
 from multicell.calibration.sensitivity.indices import CLEAR, CLEAR_SINGLE
-from multicell.report.html import Drawing
+from multicell.calibration.shared.wording import value_in_words
+from multicell.report.html import Drawing, write_page
 from multicell.report.plots.colour_vision import PALE
 from multicell.report.plots.style import BLUE, QUIET, RED, SIZE, styled
 from multicell.report.wording import written
@@ -22,6 +23,58 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from multicell.calibration.sensitivity.numbers import IndexTable, Row
+    from multicell.cells import FloatArray
+    from multicell.studies.axes import Range
+
+
+def write_indices(
+    result: IndexTable,
+    folder: Path,
+    template: str,
+    kind: str,
+    points: int,
+    tiles: Mapping[str, str],
+    drawings: Mapping[str, Drawing],
+) -> Path:
+    """Write ``report.html`` and its pictures, and return the page.
+
+    - ``template``, ``kind``: of the page, and of the analysis in words
+    - ``points``: how many points were run; ``tiles``: more numbers at the top
+    - ``drawings``: observable -> its picture
+    """
+    names = ", ".join(key_words(free.key, free.name) for free in result.ranges)
+    failed = {"runs that failed": f"{len(result.failures):,}"} if result.failures else {}
+    return write_page(
+        folder / "report.html",
+        template,
+        scene=result.scene,
+        title=sensitivity_title(result),
+        subtitle=f"{kind} · {names}",
+        tiles={
+            "free parameters": f"{len(result.ranges)}",
+            "points": f"{points:,}",
+            "seeds": f"{len(result.seeds)}",
+            **failed,
+            **tiles,
+        },
+        pictures={
+            f"sensitivity-{name.replace('.', '_')}.png": drawing
+            for name, drawing in drawings.items()
+        },
+        result=result,
+        ends={free.key: _ends(free) for free in result.ranges},
+    )
+
+
+def sensitivity_title(result: IndexTable) -> str:
+    """Return the title of pages and pictures."""
+    return f"{result.scene.title or 'Untitled scene'}: sensitivity"
+
+
+def _ends(free: Range) -> tuple[str, str]:
+    """Return both ends of a range in words; long times in minutes, hours or days."""
+    log = ", by ratio" if free.log else ""
+    return value_in_words(free.low, free.unit), value_in_words(free.high, free.unit) + log
 
 
 def write_sensitivity_report(result: IndexTable, folder: Path) -> Path:
@@ -76,22 +129,32 @@ def indices(result: IndexTable, observable: str) -> Figure:
 
 def _bars(axes: Axes, rows: list[Row]) -> None:
     """Draw bars with intervals, the first row on top; a red tick is the noise."""
-    places = np.arange(len(rows), dtype=float)
-    values, halves, noise = (
-        np.array([row[name] for row in rows]) for name in ("mu_star", "mu_star_conf", "noise")
-    )
+    places, noise = np.arange(len(rows), dtype=float), np.array([row["noise"] for row in rows])
     colours = [BLUE if row["verdict"] in (CLEAR, CLEAR_SINGLE) else PALE for row in rows]
-    axes.barh(places, np.nan_to_num(values), 0.63, color=colours)
+    _draw_column(axes, rows, "mu_star", places, 0.63, color=colours)
+    there = noise > 0.0
+    axes.vlines(noise[there], places[there] - 0.35, places[there] + 0.35, color=RED, lw=2, zorder=4)
+    _name_rows(axes, [_shown(row) for row in rows])
+    axes.set_xlabel(with_unit("mean size of the effect μ*", written(rows[0]["unit"])))
+
+
+def _draw_column(
+    axes: Axes, rows: list[Row], column: str, places: FloatArray, height: float, **how: Any
+) -> None:
+    """Draw a column of a table as bars with its intervals."""
+    values, halves = (np.array([row[name] for row in rows]) for name in (column, f"{column}_conf"))
+    axes.barh(places, np.nan_to_num(values), height, **how)
     axes.errorbar(
         values, places, xerr=halves, fmt="none", ecolor=QUIET, elinewidth=1.3, capsize=2.5
     )
-    there = noise > 0.0
-    axes.vlines(noise[there], places[there] - 0.35, places[there] + 0.35, color=RED, lw=2, zorder=4)
+
+
+def _name_rows(axes: Axes, names: list[str]) -> None:
+    """Name bars, the first one on top, and draw the line where they begin."""
     axes.axvline(0.0, color=QUIET, lw=0.8)
-    axes.set_yticks(places, [_shown(row) for row in rows])
-    axes.set_ylim(len(rows) - 0.4, -0.6)
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylim(len(names) - 0.4, -0.6)
     axes.grid(False, axis="y")
-    axes.set_xlabel(with_unit("mean size of the effect μ*", written(rows[0]["unit"])))
 
 
 def _shown(row: Row) -> str:
@@ -130,3 +193,36 @@ def _plane(axes: Axes, rows: list[Row]) -> None:
     axes.set(xlim=(-0.02 * top, top), ylim=(-0.02 * top, top))
     axes.set_xlabel(with_unit("μ*", written(rows[0]["unit"])))
     axes.set_ylabel(with_unit("σ: interactions, curvature", written(rows[0]["unit"])))
+
+
+def write_sobol_report(result: IndexTable, folder: Path) -> Path:
+    """Write ``report.html`` and its pictures, and return the page."""
+    drawings: dict[str, Drawing] = {}
+    for name in result.observables:
+        if any(np.isfinite(row["ST"]) for row in result.ordered(name)):  # else a note says why
+            caption = f"{sentence(words(name))}: parts of its variance, with 95 % intervals."
+            drawings[name] = partial(sobol_bars, result, name), caption
+    points = result.size * (len(result.ranges) + 2)
+    return write_indices(result, folder, "sobol.html", "Sobol' indices", points, {}, drawings)
+
+
+@styled
+def sobol_bars(result: IndexTable, observable: str) -> Figure:
+    """Draw first and total indices of an observable, the largest total one on top."""
+    rows = result.ordered(observable)
+    subtitle = (
+        f"{sentence(words(observable))} at the end of each run · Sobol', {result.size:,} points, "
+        f"{len(result.seeds)} seed(s) · bars: 95 % intervals"
+    )
+    figure = with_heading(
+        sensitivity_title(result), subtitle, (SIZE[0], max(4.0, 1.9 + 0.6 * len(rows)))
+    )
+    axes = figure.subplots()
+    places = np.arange(len(rows), dtype=float)
+    pairs = (("ST", 0.18, PALE, "total, with interactions"), ("S1", -0.18, BLUE, "alone"))
+    for column, shift, colour, label in pairs:
+        _draw_column(axes, rows, column, places + shift, 0.34, color=colour, label=label)
+    _name_rows(axes, [key_words(str(row["key"]), str(row["parameter"])) for row in rows])
+    axes.set_xlabel("part of the variance")
+    axes.legend(loc="lower right")
+    return figure

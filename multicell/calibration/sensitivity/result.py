@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
 from multicell.calibration.sensitivity.numbers import IndexTable, Row
 from multicell.errors import SceneError
 from multicell.measured.observables import suggest
-from multicell.results.folder import package_version, versions
 from multicell.results.quantities import known_unit
 
 if TYPE_CHECKING:
@@ -58,18 +56,6 @@ class Sensitivity(IndexTable):
 
         return indices(self, observable or self.observables[0])
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain values."""
-        return {
-            "size": self.size,
-            "seeds": self.seeds,
-            "free": [asdict(free) for free in self.ranges],
-            "table": self.table,
-            "notes": self.notes,
-            "versions": {**versions(), "SALib": package_version("SALib")},
-            "scene": self.scene.to_dict(),
-        }
-
     def text(self) -> str:
         """Return the table in words, the largest index of each observable first."""
         lines = []
@@ -109,21 +95,13 @@ class SobolIndices(IndexTable):
 
     def plot(self, observable: str | None = None) -> Figure:
         """Draw first and total indices of an observable with their intervals."""
-        from multicell.calibration.sensitivity.sobol_page import sobol_bars
+        from multicell.calibration.sensitivity.page import sobol_bars
 
         return sobol_bars(self, observable or self.observables[0])
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values."""
-        return {
-            "method": "sobol",
-            "size": self.size,
-            "seeds": self.seeds,
-            "table": self.table,
-            "notes": self.notes,
-            "versions": {**versions(), "SALib": package_version("SALib")},
-            "scene": self.scene.to_dict(),
-        }
+        return {"method": "sobol", **super().to_dict()}
 
     def text(self) -> str:
         """Return the table in words."""
@@ -137,7 +115,7 @@ class SobolIndices(IndexTable):
 
     def report(self, folder: str | Path | None = None) -> Path:
         """Write tables, pictures and the page ``report.html``; return the page."""
-        from multicell.calibration.sensitivity.sobol_page import write_sobol_report
+        from multicell.calibration.sensitivity.page import write_sobol_report
 
         return write_sobol_report(self, self.write_tables(folder))
 

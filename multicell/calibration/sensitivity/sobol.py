@@ -15,16 +15,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from multicell.calibration.sensitivity.indices import unit_cube
 from multicell.calibration.sensitivity.result import SobolIndices
 from multicell.calibration.shared.confidence import LEVEL
 from multicell.errors import SceneError
+from multicell.results.quantities import known_unit
 from multicell.units import shown
 
 if TYPE_CHECKING:
@@ -48,8 +48,8 @@ def sobol_sample(names: Sequence[str], size: int) -> FloatArray:
         hint = f"Take {1 << max(int(size) - 1, LEAST_SIZE - 1).bit_length()}."
         problem = f"is {shown(size)}, must be a power of two, at least {LEAST_SIZE}"
         raise SceneError("size", problem, hint)
-    problem_of = _cube(names)
-    found = sobol.sample(problem_of, size, calc_second_order=False, scramble=True, seed=_SAMPLE)
+    cube = unit_cube(names)
+    found = sobol.sample(cube, size, calc_second_order=False, scramble=True, seed=_SAMPLE)
     return np.asarray(found, dtype=float)
 
 
@@ -76,16 +76,12 @@ def sobol_indices(names: Sequence[str], values: FloatArray) -> tuple[dict[str, F
     if np.ptp(mean) <= _ROUNDING * np.abs(mean).max():
         return nothing, used
     found = sobol.analyze(
-        _cube(names), mean, calc_second_order=False, conf_level=LEVEL, seed=_SAMPLE
+        unit_cube(names), mean, calc_second_order=False, conf_level=LEVEL, seed=_SAMPLE
     )
     seeds = values.shape[1]
     noise = kept.var(axis=2, ddof=1).mean() / seeds / mean.var() if seeds > 1 else math.nan
     columns = {name: np.asarray(found[name], dtype=float) for name in COLUMNS_SOBOL[:-1]}
     return columns | {"noise": np.full(len(names), noise)}, used
-
-
-def _cube(names: Sequence[str]) -> dict[str, Any]:
-    return {"num_vars": len(names), "names": list(names), "bounds": [[0.0, 1.0]] * len(names)}
 
 
 def sobol_result(
@@ -94,8 +90,6 @@ def sobol_result(
     failures: Mapping[str, str] = MappingProxyType({}),
 ) -> SobolIndices:
     """Return the indices of whatever has values at the points of a plan's sample."""
-    from multicell.results.quantities import known_unit
-
     names = [free.name for free in plan.ranges]
     table: list[dict[str, Any]] = []
     notes = []
@@ -124,10 +118,3 @@ def sobol_result(
     if len(plan.seeds) == 1:
         notes.append("one seed: the part of the noise is unknown; take at least two")
     return SobolIndices(plan.scene, plan.ranges, plan.size, plan.seeds, table, notes, failures)
-
-
-def with_folder(found: SobolIndices, folder: Path) -> SobolIndices:
-    """Return indices that know the folder of their runs, with their tables in it."""
-    found = replace(found, folder=folder)
-    found.write_tables()  # numbers do not wait for a page
-    return found

@@ -7,11 +7,11 @@ continues.
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -35,12 +35,6 @@ MAP_TOLERANCES: Final = (0.001, 0.01, 0.03, 0.1, 0.3)
 
 _OF_LIMIT: Final = (4.0, 2.0, 1.0, 0.5, 0.1)  # fixed explicit steps over Euler's limit at the end
 _OF_STEP: Final = (1, 4, 16, 64)  # fixed implicit steps in a coupling step
-
-
-class _Entry(NamedTuple):
-    """An entry of what is measured."""
-
-    name: str
 
 
 def moving_stability(
@@ -94,7 +88,8 @@ def moving_stability(
     twice = {s.name for s in found if [o.name for o in found].count(s.name) > 1}
     if twice:
         raise SceneError("state", f"two states are called {min(twice)!r}")
-    names = _usual_methods() if methods is None else methods
+    usual = [name for name, info in METHODS.items() if not info.outside]
+    names = usual if methods is None else methods
     chosen = select_methods(names, found[0].scene, found[0].radius)
     begin = clock.perf_counter()
     with _opened(output, found, chosen, names, patience, overwrite=overwrite) as measured:
@@ -108,11 +103,6 @@ def moving_stability(
     return result
 
 
-def _usual_methods() -> list[str]:
-    return [name for name, info in METHODS.items() if not info.outside]
-
-
-@contextmanager
 def _opened(
     output: str | Path | None,
     states: Sequence[RecordedState],
@@ -121,21 +111,14 @@ def _opened(
     patience: float,
     *,
     overwrite: bool,
-) -> Iterator[Measurements]:
+) -> AbstractContextManager[Measurements]:
     """Open the folder of a map, whose entries are pairs of a state and a method."""
     named, marks = named_only(names), {state.name: state.mark for state in states}
-    entries = [_Entry(f"{s.name} {m.name}") for s in states for m in methods]
+    entries = [f"{s.name} {m.name}" for s in states for m in methods]
     kept = [f"{s.name} {name}" for s in states for name in ("truth", *named)]
-    with open_measurements(
-        output,
-        FAILURE_FILES,
-        states[0].scene,
-        {"states": marks, "patience": patience},
-        entries,
-        kept,
-        overwrite=overwrite,
-    ) as measured:
-        yield measured
+    what = {"states": marks, "patience": patience}
+    scene = states[0].scene
+    return open_measurements(output, FAILURE_FILES, scene, what, entries, kept, overwrite=overwrite)
 
 
 @final
@@ -156,14 +139,14 @@ class _Trials:
         for method in methods:
             if method.info.refusal(len(self.state.start), friction=friction) is not None:
                 continue
-            entry = _Entry(f"{self.state.name} {method.name}")
+            entry = f"{self.state.name} {method.name}"
             known = self.measured.find(entry)
             if known is None:
-                self.note(entry.name)
+                self.note(entry)
                 known = {"rows": [self._row(method, s) for s in self._settings(method)]}
                 self.measured.add(entry, **known)
             else:
-                self.note(f"{entry.name}: was measured before")
+                self.note(f"{entry}: was measured before")
             table += known["rows"]
         return table
 
@@ -186,7 +169,7 @@ class _Trials:
     def _true(self) -> TrueStep:
         """Return the truth of the state, from the folder if it was solved before."""
         if self.truth is None:
-            entry = _Entry(f"{self.state.name} truth")
+            entry = f"{self.state.name} truth"
             known = self.measured.find(entry)
             if known is None:
                 self.note(f"{self.state.name}: the true end, and of twelve shifted starts")

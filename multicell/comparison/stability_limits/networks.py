@@ -95,11 +95,11 @@ def network_stability(
     asked = [method.name for method in chosen]
     own = described.networks[name].network is not None  # it may have changed since
     with open_measurements(
-        output, STABILITY_FILES, described, what, chosen, [] if own else asked, overwrite=overwrite
+        output, STABILITY_FILES, described, what, asked, [] if own else asked, overwrite=overwrite
     ) as measured:
         wall, table, moments, trials = 0.0, [], {}, None
         for method in chosen:
-            known = measured.find(method)
+            known = measured.find(method.name)
             if known is not None:
                 tell(f"{method.name}: was measured before")
             else:
@@ -109,7 +109,7 @@ def network_stability(
                 begin = clock.perf_counter()
                 known = trials.measured(method)
                 known["wall"] = clock.perf_counter() - begin
-                measured.add(method, **known)
+                measured.add(method.name, **known)
             table += known["rows"]
             wall += known["wall"]
             moments[method.name] = known["moments"]

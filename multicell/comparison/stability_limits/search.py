@@ -87,8 +87,9 @@ def stability(
     names = [*capable_methods(described), *_EXTRA] if methods is None else methods
     chosen = select_methods(names, described, 0.9 * division_radii(described)[0])
     what = {"patience": patience, "threads": threads}
+    asked = [method.name for method in chosen]
     with open_measurements(
-        output, STABILITY_FILES, described, what, chosen, names, overwrite=overwrite
+        output, STABILITY_FILES, described, what, asked, names, overwrite=overwrite
     ) as measured:
         wall, table = _measure(described, chosen, patience, threads, measured, note)
         facts = {"precision": PRECISION, "wall": wall, "versions": versions()}
@@ -110,7 +111,7 @@ def _measure(
     begin = clock.perf_counter()
     before, table, state = 0.0, [], None
     for method in methods:
-        known = measured.find(method)
+        known = measured.find(method.name)
         if known is not None:
             note(f"{method.name}: was measured before")
             before += known["wall"]
@@ -122,7 +123,7 @@ def _measure(
         note(method.name)
         started = clock.perf_counter()
         rows = _rows(state, method, patience)
-        measured.add(method, rows=rows, wall=clock.perf_counter() - started)
+        measured.add(method.name, rows=rows, wall=clock.perf_counter() - started)
         table += rows
     return before + clock.perf_counter() - begin, table
 

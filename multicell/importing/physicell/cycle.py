@@ -5,18 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple, final
 
 from multicell.behaviours.growth_laws.laws import RelaxationGrowth
 from multicell.cells import SPHERE
+from multicell.importing.files import Element
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, CellDefinition, Model
 from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
 from multicell.importing.physicell.water import DivisionRate, rate_with_water
 from multicell.units import whole_number
-
-if TYPE_CHECKING:
-    from multicell.importing.files import Element
 
 _INSTANT = 1.0
 """Length of a phase that a model does not have, s."""

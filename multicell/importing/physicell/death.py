@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, final
+from typing import final
 
+from multicell.importing.files import Element
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.cycle import stated_phases
 from multicell.importing.physicell.model import MINUTE, CellDefinition, Model
 from multicell.importing.physicell.rules import rules_of, set_behaviour
 from multicell.roots import brent_root
-
-if TYPE_CHECKING:
-    from multicell.importing.files import Element
 
 APOPTOSIS, NECROSIS = "100", "101"
 _NAMES = {APOPTOSIS: "apoptosis", NECROSIS: "necrosis"}

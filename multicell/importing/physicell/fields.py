@@ -10,17 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
+from multicell.importing.files import Element
 from multicell.importing.imported import Fate
 from multicell.importing.physicell import run
 from multicell.importing.physicell.model import MINUTE, CellDefinition, Model, keys_of
 from multicell.importing.physicell.rules import Rule, rules_of, set_behaviour
 from multicell.scene.oxygen import is_oxygen
 from multicell.units import oxygen_solubility, to_base, unit_factor
-
-if TYPE_CHECKING:
-    from multicell.importing.files import Element
 
 _FAR = 1e3
 """Half saturation over the largest concentration."""

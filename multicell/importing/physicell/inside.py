@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from multicell.errors import SceneError
-from multicell.importing.files import found_file
+from multicell.importing.files import Element, found_file
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, CellDefinition, Model
 from multicell.importing.physicell.rules import Rule
@@ -23,7 +23,6 @@ from multicell.importing.physicell.rules import Rule
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from multicell.importing.files import Element
     from multicell.networks.network import Network
 
 _READ: Final = ("roadrunner", "sbml")

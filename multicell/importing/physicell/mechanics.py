@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from multicell.behaviours.catalogue import SURFACE_ENERGY
 from multicell.cells import stokes_drag
+from multicell.importing.files import Element
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, VISCOSITY, CellDefinition, Model
 from multicell.importing.physicell.rules import rules_of, set_behaviour
-
-if TYPE_CHECKING:
-    from multicell.importing.files import Element
 
 _WALL = 100.0 / MINUTE
 """Strength of PhysiCell's walls, µm/s."""
@@ -148,7 +145,11 @@ def _read_adhesion(model: Model) -> None:
             given = i.own(_ADHESION)
             if given is not None and given not in model.account:
                 model.account.take(given, Fate.OFF, note=f"set by {ruled[1].tag}")
-    _read_stickiness(model, {i: own[i] for i in own if any(pairs[i, j] > 0.0 for j in own)})
+    # rules change how strongly cells adhere: of two the geometric mean, as there
+    known = {i: own[i] for i in own if any(pairs[i, j] > 0.0 for j in own)}
+    rules = rules_of(model, "cell-cell adhesion", known)
+    ones, end = dict.fromkeys(known, 1.0), lambda rule: rule.end / known[rule.kind]
+    set_behaviour(model, SURFACE_ENERGY, 1.0, ones, rules, end)
 
 
 def _strongest(model: Model) -> dict[tuple[CellDefinition, CellDefinition], float]:
@@ -181,13 +182,6 @@ def _account_for_strongest(
                 "contact.surface_energy",
                 note,
             )
-
-
-def _read_stickiness(model: Model, known: dict[CellDefinition, float]) -> None:
-    """Let rules change how strongly cells adhere: of two the geometric mean, as there."""
-    rules = rules_of(model, "cell-cell adhesion", known)
-    own, end = dict.fromkeys(known, 1.0), lambda rule: rule.end / known[rule.kind]
-    set_behaviour(model, SURFACE_ENERGY, 1.0, own, rules, end)
 
 
 def _read_wall(model: Model) -> None:

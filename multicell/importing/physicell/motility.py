@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, final
+from typing import final
 
+from multicell.importing.files import Element
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, CellDefinition, Model
 from multicell.importing.physicell.rules import rules_of, set_behaviour
-
-if TYPE_CHECKING:
-    from multicell.importing.files import Element
 
 _STEEP = 1e-9
 """Gradient of half the force over the largest concentration, 1/µm: any gradient is followed."""

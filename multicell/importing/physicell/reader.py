@@ -214,9 +214,7 @@ def _read_changes(model: Model) -> None:
         )
 
 
-def _read_way(
-    model: Model, table: str, tag: str, theirs: str, ours: str, unit: float, note: str = ""
-) -> None:
+def _read_way(model: Model, table: str, tag: str, theirs: str, ours: str, unit: float) -> None:
     for to in model.kinds:
         own = {
             kind: _chances(kind, table, tag).get(to.name, 0.0) / unit
@@ -224,7 +222,7 @@ def _read_way(
             if kind is not to
         }
         rules = rules_of(model, f"{theirs} {to.name}", own)
-        set_behaviour(model, f"{ours} {to.key}", 0.0, own, rules, lambda r: r.end / unit, note)
+        set_behaviour(model, f"{ours} {to.key}", 0.0, own, rules, lambda r: r.end / unit)
 
 
 _ROOT = "PhysiCell_settings"

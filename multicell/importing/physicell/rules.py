@@ -12,19 +12,15 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, final
+from pathlib import Path
+from typing import Any, Final, final
 
 from multicell.behaviours.catalogue import CONTACTS, behaviour_named
 from multicell.errors import SceneError
-from multicell.importing.files import found_file, read_rows
+from multicell.importing.files import Element, found_file, read_rows
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import MINUTE, CellDefinition, Model
 from multicell.units import whole_number
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from multicell.importing.files import Element
 
 _STEEPEST = 32.0
 """Largest Hill power of a scene."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, final
+from pathlib import Path
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +14,6 @@ from multicell.errors import SceneError
 from multicell.importing.files import elsewhere, found_file, read_rows
 from multicell.importing.imported import Fate
 from multicell.importing.physicell.model import CellDefinition, Model
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 _MAX_LINES = 10**7  # cells to place: it bounds memory
 _CROWDED = 50  # pairs for each cell; more than a few coincide in no model that has run

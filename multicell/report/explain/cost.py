@@ -174,7 +174,7 @@ def _field_seconds(scene: Scene, name: str, found: Course, steps: float, nodes: 
     if scene.nutrients[name].solver not in OWN_SOLVERS:
         number = expected_steps(scene, name)
         if number:
-            return steps * (_FIELD + number * _rate_seconds(nodes))
+            return steps * (_FIELD + number * (_RATE + _NODE_RATE * nodes))
     if regime(scene, name) == "steady":
         return steps * (_FIELD + _NODE_STEP * nodes)
     nutrient = scene.nutrients[name]
@@ -193,11 +193,6 @@ def _is_linear(scene: Scene, name: str) -> bool:
     by_network = any(name in (part.fluxes or {}) for part in scene.networks.values())
     used = nutrient.takes_up or by_network or group_of(name, scene.reactions)
     return plain and cubes and not used
-
-
-def _rate_seconds(nodes: float) -> float:
-    """Return the time of one evaluation of a field's rates and its account, s."""
-    return _RATE + _NODE_RATE * nodes
 
 
 def solutions(scene: Scene, name: str, found: Course, steps: float) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from multicell.cells import SPHERE
 from multicell.report.explain.items import ExplainedPart, Number, hours, part
@@ -13,15 +12,13 @@ from multicell.scene import domain as box
 from multicell.scene import scales
 from multicell.scene.dependences import solving_order
 from multicell.scene.field_solvers import expected_step, expected_steps
+from multicell.scene.initial_files import InitialFile
 from multicell.scene.nutrient import OWN_SOLVERS, Nutrient
 from multicell.scene.reactions import Reaction, group_of
 from multicell.scene.responses import relevant_fields, type_thresholds
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import typical_radius
 from multicell.scene.steps import usual_coupling_step
-
-if TYPE_CHECKING:
-    from multicell.scene.initial_files import InitialFile
 
 
 def nutrient_parts(scene: Scene) -> list[ExplainedPart]:

@@ -165,7 +165,10 @@ def _sentence(scene: Scene, effect: Effect) -> str:
         return "death at once" if math.isinf(number) else _amount(number, behaviour.unit)
 
     signal = " and ".join(effect.signals)
-    law, end = _law_words(scene, effect), f"{value(effect.low)} to {value(effect.high)}"
+    known = len(effect.signals) == 1
+    unit = signal_unit(effect.signals[0], scene.nutrients, "") if known else ""
+    law = effect.law.words(lambda level: _amount(level, unit))
+    end = f"{value(effect.low)} to {value(effect.high)}"
     if not effect.law.has_signal:
         return f"{what} is {value(effect.high)}"
     if effect.law.gives_values:
@@ -173,12 +176,6 @@ def _sentence(scene: Scene, effect: Effect) -> str:
     if effect.falls:
         end = f"{value(effect.high)} to {value(effect.low)}"
     return f"as {signal} rises, {what} goes from {end} ({law})"
-
-
-def _law_words(scene: Scene, effect: Effect) -> str:
-    known = len(effect.signals) == 1
-    unit = signal_unit(effect.signals[0], scene.nutrients, "") if known else ""
-    return effect.law.words(lambda signal: _amount(signal, unit))
 
 
 def _amount(number: float, unit: str) -> str:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, final
+from typing import Final, final
 
 from multicell.errors import OutputError
 from multicell.host.extras import needs
@@ -16,10 +16,8 @@ from multicell.host.interrupts import UNCUT
 from multicell.report.result import Result, load_result
 from multicell.report.tables import TABLES
 from multicell.results.folder import file_errors, put_in_place, sync_file
+from multicell.results.frame import Frame
 from multicell.schema import near_miss
-
-if TYPE_CHECKING:
-    from multicell.results.frame import Frame
 
 
 @final

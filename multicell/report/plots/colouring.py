@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 import matplotlib as mpl
 import numpy as np
@@ -15,13 +15,11 @@ from multicell.cells import HAZARDS, Cells, FloatArray, IntArray, State
 from multicell.errors import OutputError
 from multicell.report.plots.style import STATE_COLOURS, type_colours
 from multicell.report.wording import written
+from multicell.results.frame import Frame
 from multicell.results.quantities import unit_of
 from multicell.results.tables import NAMED
+from multicell.scene.scene import Scene
 from multicell.schema import near_miss
-
-if TYPE_CHECKING:
-    from multicell.results.frame import Frame
-    from multicell.scene.scene import Scene
 
 GROUPS: Final = ("state", "type", "phase", "clone", "doomed")
 _NO_COLOUR: Final = (

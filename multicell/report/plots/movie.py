@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
@@ -13,18 +13,15 @@ import numpy as np
 
 from multicell.errors import OutputError
 from multicell.host.extras import needs
-from multicell.report.plots.colouring import GROUPS, cell_quantity, colouring, limits_of
+from multicell.report.plots.colouring import GROUPS, Colouring, cell_quantity, colouring, limits_of
 from multicell.report.plots.run import one_spelling
 from multicell.report.plots.section import Plane, section, window
 from multicell.report.plots.space import FILM_DPI, View, film_picture, room
 from multicell.results.folder import file_errors, write_bytes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from matplotlib.figure import Figure
 
-    from multicell.report.plots.colouring import Colouring
     from multicell.report.result import Result
     from multicell.results.frame import Frame
 

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from multicell.behaviours.catalogue import behaviour_named, signal_unit
 from multicell.report.plots.style import INK, headed, styled, type_colours
 from multicell.scene.responses import Effect, effects
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from multicell.scene.scene import Scene
+from multicell.scene.scene import Scene
 
 _MAX_PANELS: Final = 9  # three rows of three
 _POINTS: Final = 400  # of a curve
