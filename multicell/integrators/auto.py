@@ -88,8 +88,7 @@ _TRIALS, _RARELY = 0.02, 8
 
 
 @final
-@dataclass(frozen=True)
-class Choice:
+class Choice(NamedTuple):
     """The chosen method and the reasons for it.
 
     - ``stiffness``, float: λ times the length of the coupling step
