@@ -88,7 +88,8 @@ _TRIALS, _RARELY = 0.02, 8
 
 
 @final
-class Choice(NamedTuple):
+@dataclass(frozen=True)
+class Choice:
     """The chosen method and the reasons for it.
 
     - ``stiffness``, float: λ times the length of the coupling step
