@@ -414,8 +414,10 @@ def with_newborn(plan: BiologyPlan, cells: Cells, contacts: IntArray, first: int
 
     - ``first``: identity of the first of these
     """
+    if not any(map(needs_contacts, plan.elsewhere)):
+        return contacts
     born = ((cells.id >= first) & ~cells.dead).nonzero()[0]
-    if not born.size or not any(map(needs_contacts, plan.elsewhere)):
+    if not born.size:
         return contacts
     from scipy.spatial import cKDTree
 

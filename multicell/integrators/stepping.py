@@ -267,11 +267,12 @@ def with_addresses(
             path = (np.empty((0, 3)),) * 4
             known = any_law.law_type(law), source.law, source.cells, pairs, source.rows, path
             used["missed_at"] = (any_law.missed_among_all, 0.0, *known, 0.0, 0.0, 0.0, 0.0)
-        _PLACES[key] = {name: address_of(*kernel) for name, kernel in used.items()}
-    return source._replace(**_PLACES[key])
+        places: dict[str, Any] = {name: address_of(*kernel) for name, kernel in used.items()}
+        _PLACES[key] = source._replace(**places)[6:]
+    return Source(*source[:6], *_PLACES[key])
 
 
-_PLACES: dict[Any, dict[str, Any]] = {}
+_PLACES: dict[Any, tuple[int, ...]] = {}
 
 
 def stepping_kernels(

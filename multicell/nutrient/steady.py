@@ -285,26 +285,19 @@ class _State:
     def evaluate(self) -> None:
         """Bring all up to date with ``c``."""
         self.sums = None
-        team = self.problem.team
-        if team is None:
-            self.move(self.c, self.c, 0.0)
-        else:
-            law = self.problem.law
-            self.take(stencil.write_imbalance(self.c, *law, self.residual, self.rate, team))
+        law, team = self.problem.law, self.problem.team
+        self.take(stencil.write_imbalance(self.c, *law, self.residual, self.rate, team))
 
     def move(self, c: FloatArray, correction: stencil.Floats, share: float) -> float:
         """Become ``c`` and a share of a correction; return the imbalance's product with that."""
-        team = self.problem.team
-        if team is None:
-            law, along = self.problem.law, np.asarray(correction, dtype=np.float64)
-            own: tuple[Any, Any, Any] = self.c, self.residual, self.rate
-            product, *sums = stencil.imbalance_there(c, along, share, *law, *own)
-            self.take(sums)
-            return product
-        from multicell.nutrient.multigrid_kernels import add_correction
+        if self.problem.team is None:
+            np.multiply(np.asarray(correction, dtype=np.float64), share, out=self.c)
+            self.c += c
+        else:
+            from multicell.nutrient.multigrid_kernels import add_correction
 
-        light = stencil.teams(team, c.size)[1]
-        light.share(add_correction, len(c), c, correction, share, self.c)
+            light = stencil.teams(self.problem.team, c.size)[1]
+            light.share(add_correction, len(c), c, correction, share, self.c)
         self.evaluate()
         return self.along(correction)
 

@@ -214,45 +214,6 @@ def write_imbalance(
     return squares, total, size, net, change
 
 
-@_jit
-def imbalance_there(
-    c: FloatArray,
-    correction: FloatArray,
-    share: float,
-    sink: FloatArray,
-    source: FloatArray,
-    half: float,
-    stiffness: float,
-    linear: float,
-    ghost: FloatArray,
-    weights: Weights,
-    exchange: FloatArray | None,
-    level: float,
-    there: FloatArray,
-    residual: FloatArray,
-    rate: FloatArray,
-) -> tuple[float, float, float, float, float, float]:
-    """Do what :func:`write_imbalance` does for ``c`` and a share of a correction, set ``there``.
-
-    On few nodes a call takes as long as its work. Return the same sums, and before them the product
-    of the residual and the correction.
-    """
-    nx, ny, nz = c.shape
-    for i in range(nx):
-        for j in range(ny):
-            for k in range(nz):
-                there[i, j, k] = correction[i, j, k] * share + c[i, j, k]
-    law = (sink, source, half, stiffness, linear, ghost, weights, exchange, level)
-    parts = np.empty((5, 1))
-    imbalance_of_planes(0, nx, there, *law, residual, rate, parts, nx)
-    product = 0.0
-    for i in range(nx):
-        for j in range(ny):
-            for k in range(nz):
-                product += residual[i, j, k] * correction[i, j, k]
-    return product, parts[0, 0], parts[1, 0], parts[2, 0], parts[3, 0], parts[4, 0]
-
-
 @_both
 def imbalance_of_planes(
     begin: int,

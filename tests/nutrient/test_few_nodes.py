@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from numba import njit
 from scipy import fft
 from scipy.fft import next_fast_len
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import spsolve
 
-from multicell.nutrient import dense
+from multicell.nutrient import dense, stencil
 from multicell.nutrient.cartesian import Box, _fast
 from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.steady import solve_steady
@@ -82,6 +83,26 @@ def test_one_compiled_call_takes_the_steps_of_transforms(varied):
     assert (one.newton, one.cg) == (other.newton, other.cg)
     assert one.cg > one.newton > 1
     np.testing.assert_allclose(first, second, rtol=0, atol=1e-9 * level)
+
+
+@njit
+def _by_planes(c, law, residual, rate, parts, x):
+    return dense._imbalance(c, law, residual, rate, parts, x)
+
+
+@pytest.mark.parametrize(
+    "shape", [(1, 1, 1), (1, 5, 4), (4, 1, 5), (4, 5, 1), (2, 2, 2), (5, 6, 7)]
+)
+def test_imbalances_of_planes_have_the_bits_of_rows(shape):
+    rng = np.random.default_rng(3)
+    c, sink, source, x = rng.random((4, *shape))
+    law = sink, source, 0.1, 3.0, 0.2, rng.uniform(-1.0, 1.0, 6), None, None, 0.0
+    expected, found = np.empty((2, 2, *shape)), np.empty((5, 1))
+    sums = stencil.write_imbalance(c, *law, *expected[0])
+    product = _by_planes(c, law, *expected[1], found, x.ravel())
+    assert expected[1].tobytes() == expected[0].tobytes()
+    assert found[:, 0].tolist() == list(sums)
+    assert product == stencil.flat_dot(expected[0, 0].ravel(), x.ravel())
 
 
 def test_numbers_of_nodes_are_those_that_scipy_transforms_fast():
