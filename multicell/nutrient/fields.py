@@ -649,7 +649,12 @@ class FieldSystem:
     def _uptake_rate(self, name: str, cells: Cells) -> float:
         """Return the uptake of a field by all cells now, amol/s."""
         capacity = self._capacity(name, cells, self.concentrations)
-        return float(self.fields[name].uptake(cells.position, capacity, cells.radius).sum())
+        field, group = self.fields[name], next(x for x in self.groups if name in x.names)
+        if field.layout is group.layout and group.has_met(cells, capacity):
+            rates = field.uptake_reached(group.position, capacity, group.radius)
+        else:
+            rates = field.uptake(cells.position, capacity, cells.radius)
+        return float(rates.sum())
 
 
 def _shares(
