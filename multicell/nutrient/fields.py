@@ -124,6 +124,7 @@ class FieldSystem:
         fluxes: Fluxes | None = None,
     ) -> None:
         self._fluxes, self.time = fluxes, 0.0
+        self._tissue: Tissue | None = None  # of the last step, which may be tried again
         self._ahead: Mapping[str, FloatArray] = {}
         known: dict[str, Any] = {**scene.reactions, **(reactions or {})}
         self._scene, self._nutrients, self._respond = scene, scene.nutrients, respond
@@ -305,7 +306,9 @@ class FieldSystem:
                 one, other = self.demand(name, before)
                 began[name] = earlier * one[row], None if other is None else earlier * other[row]
         self.time, self._ahead = end, ahead or {}
-        tissue = Tissue(cells.position, cells.radius)
+        tissue = self._tissue
+        if tissue is None or not tissue.is_of(cells.position, cells.radius):
+            tissue = self._tissue = Tissue(cells.position, cells.radius)
         for names in self._circles.values():  # as the fields of the last step have them
             found = {x: self.fields[x].sample_tissue(tissue) for x in names}
             self.concentrations = {**self.concentrations, **found}

@@ -85,7 +85,7 @@ class TissueState:
     def state_counts(self) -> Mapping[str, int]:
         """Number of cells in each state, by the name of the state in lower case."""
         state = self.cells.state
-        return {name: np.count_nonzero(state == k) for k, name in enumerate(_STATES)}
+        return {name: int(np.count_nonzero(state == k)) for k, name in enumerate(_STATES)}
 
     @cached_property
     def sealed(self) -> TissueState:
