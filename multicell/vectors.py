@@ -25,6 +25,16 @@ def squares(vectors: FloatArray) -> FloatArray:
     return np.asarray(x * x + y * y + z * z)
 
 
+def squares_about(columns: FloatArray, point: FloatArray) -> FloatArray:
+    """Return the squares of distances from a point, (3,), of places by coordinate, (3, n): (n,)."""
+    found = np.zeros(columns.shape[1])
+    for column, place in zip(columns, point, strict=True):
+        way = column - place
+        way *= way
+        found += way
+    return found
+
+
 def lengths(vectors: FloatArray) -> FloatArray:
     """Return the lengths of vectors (n, 3): (n,)."""
     return np.sqrt(squares(vectors))

@@ -184,9 +184,15 @@ class NutrientField:
         self, position: FloatArray, capacity: FloatArray, radius: FloatArray | None = None
     ) -> FloatArray:
         """Return the uptake of each cell, (n,) amol/s; see :meth:`solve`."""
-        rate = uptake(1.0, self.values, self.parameters.nutrient.half_saturation)
         reached, extent = self._reached(position, radius)
-        return np.asarray(capacity * self.layout.gather(reached, rate, extent))
+        return self.uptake_reached(reached, capacity, extent)
+
+    def uptake_reached(
+        self, reached: FloatArray, capacity: FloatArray, radius: FloatArray | None = None
+    ) -> FloatArray:
+        """Do the same at positions on the grid, where cells reach it."""
+        rate = uptake(1.0, self.values, self.parameters.nutrient.half_saturation)
+        return np.asarray(capacity * self.layout.gather(reached, rate, radius))
 
     def first_values(self, layout: Layout, time: float) -> float | FloatArray:
         """Return the first values on a layout, mM: of the medium, of a formula or a file.

@@ -124,6 +124,7 @@ class FieldSystem:
         fluxes: Fluxes | None = None,
     ) -> None:
         self._fluxes, self.time = fluxes, 0.0
+        self._tissue: Tissue | None = None  # of the last step, which may be tried again
         self._ahead: Mapping[str, FloatArray] = {}
         known: dict[str, Any] = {**scene.reactions, **(reactions or {})}
         self._scene, self._nutrients, self._respond = scene, scene.nutrients, respond
@@ -305,7 +306,9 @@ class FieldSystem:
                 one, other = self.demand(name, before)
                 began[name] = earlier * one[row], None if other is None else earlier * other[row]
         self.time, self._ahead = end, ahead or {}
-        tissue = Tissue(cells.position, cells.radius)
+        tissue = self._tissue
+        if tissue is None or not tissue.is_of(cells.position, cells.radius):
+            tissue = self._tissue = Tissue(cells.position, cells.radius)
         for names in self._circles.values():  # as the fields of the last step have them
             found = {x: self.fields[x].sample_tissue(tissue) for x in names}
             self.concentrations = {**self.concentrations, **found}
@@ -649,7 +652,12 @@ class FieldSystem:
     def _uptake_rate(self, name: str, cells: Cells) -> float:
         """Return the uptake of a field by all cells now, amol/s."""
         capacity = self._capacity(name, cells, self.concentrations)
-        return float(self.fields[name].uptake(cells.position, capacity, cells.radius).sum())
+        field, group = self.fields[name], next(x for x in self.groups if name in x.names)
+        if field.layout is group.layout and group.has_met(cells, capacity):
+            rates = field.uptake_reached(group.position, capacity, group.radius)
+        else:
+            rates = field.uptake(cells.position, capacity, cells.radius)
+        return float(rates.sum())
 
 
 def _shares(

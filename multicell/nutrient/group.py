@@ -28,6 +28,7 @@ from multicell.scene.nutrient import OWN_SOLVERS
 from multicell.scene.reactions import groups
 
 if TYPE_CHECKING:
+    from multicell.cells import Cells
     from multicell.nutrient.equations.substance import Schedule
     from multicell.nutrient.field import NutrientField
     from multicell.nutrient.parameters import FieldParameters
@@ -159,6 +160,17 @@ class FieldGroup:
         self._set_equation(tissue, demand, self.first.exchange(self.layout, tissue))
         self.nodes = np.array([self._first(f, time, carry) for f in fields])
         self.state = self.equation.view(self.nodes)
+
+    def has_met(self, cells: Cells, capacity: FloatArray) -> bool:
+        """Return whether the layout lies round these cells, as far as they take up, (n,) amol/s.
+
+        Some that take up no more may have lost volume since.
+        """
+        tissue = self._tissue
+        if tissue is None or tissue.position is not cells.position:
+            return False
+        same = tissue.radius is cells.radius
+        return same or not capacity[tissue.radius != cells.radius].any()
 
     def change_demand(
         self, first: Demand | None, begin: float, end: float, leaving: Leaving | None

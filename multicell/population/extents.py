@@ -13,7 +13,7 @@ import numpy as np
 
 from multicell.cells import SPHERE, Cells, FloatArray, Mask, State
 from multicell.population.regions import Surroundings, inhibited_region, region_radius
-from multicell.vectors import cubes, lengths, squares, weighted_mean
+from multicell.vectors import cubes, lengths, squares_about, weighted_mean
 
 _GROWING, _RESTING = int(State.PROLIFERATING), int(State.QUIESCENT)  # numbers compare faster
 
@@ -56,7 +56,8 @@ class Extent:
                 origin = weighted_mean(cells.position, self._weights)
             share = dimensions / (dimensions + 2)
             self.origin = origin
-            self._away = squares(cells.position - origin)
+            self._columns = np.ascontiguousarray(cells.position.T)
+            self._away = squares_about(self._columns, origin)
             self._squares = self._away + share * cells.radius**2
 
     def radius(self, mask: Mask | None = None) -> float:
@@ -89,7 +90,7 @@ class Extent:
     @cached_property
     def _around(self) -> Surroundings:
         args = (self._radii, self.origin, self.radius(), self._dimensions)
-        return Surroundings(self._cells.position, *args, self._away)
+        return Surroundings(self._columns, *args, self._away)
 
     @cached_property
     def dead_core(self) -> float:

@@ -13,7 +13,7 @@ from weakref import ref
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import Phase, State
+from multicell.cells import Phase
 from multicell.results import observables as of
 from multicell.results.observable import Observable, TissueState, find_own
 from multicell.scene.dependences import counts_contacts
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from multicell.mechanics.walls import Walls
     from multicell.scene.scene import Scene
 
-_GROWING: Final = int(State.PROLIFERATING)
 _STATES: Final = ("proliferating", "quiescent", "necrotic", "apoptotic")
 _LEDGER: Final = (
     "inflow",
@@ -82,6 +81,10 @@ def _volume(state: TissueState) -> float:
 def _mean(values: NDArray[Any]) -> float:
     # NumPy's own mean takes three times as long
     return float(values.sum(dtype=float)) / len(values) if len(values) else float("nan")
+
+
+def _part(count: int, others: int) -> float:
+    return count / (count + others) if count + others else float("nan")
 
 
 def _pressure_factor(state: TissueState) -> float:
@@ -146,7 +149,7 @@ OBSERVABLES: Final = (
     ),
     Observable(
         "growth_fraction",
-        lambda s: _mean(s.cells.state[~s.cells.dead] == _GROWING),
+        lambda s: _part(s.state_counts["proliferating"], s.state_counts["quiescent"]),
         exists=lambda scene: scene.growth,
         absent="without living cells",
         doc="part of living cells that proliferate: in the viable rim, where there is a core",

@@ -84,8 +84,8 @@ class TissueState:
     @cached_property
     def state_counts(self) -> Mapping[str, int]:
         """Number of cells in each state, by the name of the state in lower case."""
-        counts = np.bincount(self.cells.state, minlength=len(State)).tolist()
-        return dict(zip(_STATES, counts, strict=True))
+        state = self.cells.state
+        return {name: int(np.count_nonzero(state == k)) for k, name in enumerate(_STATES)}
 
     @cached_property
     def sealed(self) -> TissueState:

@@ -220,7 +220,7 @@ def _splitting(scene: Scene, cells: Cells) -> dict[str, float]:
     return {
         "volume_error": error,
         "relative_volume_error": error / total if total > 0.0 else 0.0,
-        "worst_cell_error": float(np.abs(excess / volume)[living].max(initial=0.0)),
+        "worst_cell_error": float(np.abs(excess / volume).max(initial=0.0)),
     }
 
 

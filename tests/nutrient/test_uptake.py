@@ -8,6 +8,7 @@ from running import refused
 import multicell as mc
 from multicell.cells import SPHERE, State
 from multicell.errors import SceneError
+from multicell.nutrient import balls
 from multicell.nutrient.fields import FieldSystem
 from multicell.nutrient.uptake import balanced, rate, uptake, uptake_and_slope
 from multicell.population.extents import Extent
@@ -105,6 +106,45 @@ def test_a_ball_has_the_field_of_the_closed_form_whatever_its_cells_size(radius)
     inside = surface - float(simulation.concentrations["a"].mean())
     assert inside == pytest.approx(taken / (20.0 * np.pi * diffusion * ball), rel=0.06)
     assert simulation.ledger["a"].relative_remainder < 1e-8
+
+
+@pytest.mark.parametrize("geometry", ["radial", "box"])
+def test_cells_are_placed_once_a_step(monkeypatch, geometry):
+    """Also where some die, and all is solved for again; the row of the history places none."""
+    death = {"apoptosis_rate": "0.3 1/h", "apoptosis_time": "5 h", "removal_fraction": 0.1}
+    field = {"uptake": "60 amol/s", "diffusion": "1750 um^2/s", "geometry": geometry,
+             "spacing": "10 um", "margin": "40 um", "quiescence": "0.01 mM"}  # fmt: skip
+    simulation = mc.Simulation(scene(field, death=death), threads=1)
+    counts = {"placed": 0}
+
+    def counting(function):
+        def counted(*given):
+            counts["placed"] += 1
+            return function(*given)
+
+        return counted
+
+    monkeypatch.setattr(balls.OnShells, "at", counting(balls.OnShells.at))
+    monkeypatch.setattr(balls, "placed", counting(balls.placed))
+    for _ in range(3):
+        counts["placed"], dead = 0, simulation.cells.dead.sum()
+        simulation.step()
+        cells = simulation.state.cells
+        assert cells.dead.sum() > dead
+        simulation.history_row()
+        assert counts["placed"] == 1
+        assert_uptake_is_that_of_all_cells(simulation)
+    simulation.cells.radius *= 1.1
+    assert_uptake_is_that_of_all_cells(simulation)
+    simulation.cells.position *= 0.9
+    assert_uptake_is_that_of_all_cells(simulation)
+
+
+def assert_uptake_is_that_of_all_cells(simulation):
+    cells, system = simulation.state.cells, simulation.field_system
+    capacity, _ = system.demand("a", cells)
+    taken = system.fields["a"].uptake(cells.position.copy(), capacity, cells.radius)
+    assert simulation.history_row()["uptake_a"] == taken.sum() > 0.0
 
 
 def test_demand_and_forecast_are_those_of_the_same_uptake_of_typical_cells():

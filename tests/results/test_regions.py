@@ -6,7 +6,7 @@ from synthetic import BARE, cells_at
 
 import multicell as mc
 from multicell.cells import Phase, State
-from multicell.population import extents
+from multicell.population import extents, regions
 from multicell.results.frame import Frame
 from multicell.results.observable import TissueState
 from multicell.results.summary import history_row
@@ -158,6 +158,74 @@ def test_cells_that_rest_here_and_there_inhibit_nothing(part):
         random = np.random.default_rng(1000 + seed)
         state = np.where(random.random(2000) < part, State.NECROTIC, State.PROLIFERATING)
         assert inhibited(position, random.random(2000) < 0.5, state) == 0.0
+
+
+KINDS = (
+    "none",
+    "ball",
+    "shell",
+    "ball and shell",
+    "shell, and half beyond",
+    "scattered",
+    "most",
+    "mixed",
+    "falling",
+)
+
+
+def painted(kind, position, random):
+    """Return which cells of a tissue are of a sort: one of several ways to lie in it."""
+    apart = np.linalg.norm(position - [4.0, 0.0, 0.0], axis=1)
+    chance, rank = random.random(len(apart)), np.argsort(np.argsort(apart))
+    return {
+        "none": np.zeros(len(apart), bool),
+        "ball": apart < 40.0,
+        "shell": (apart > 30.0) & (apart < 50.0),
+        "ball and shell": (apart < 15.0) | ((apart > 30.0) & (apart < 90.0)),
+        "shell, and half beyond": (apart > 35.0) & ((apart < 70.0) | (rank % 41 < 20)),
+        "scattered": chance < 0.1,
+        "most": chance < 0.7,
+        "mixed": chance < np.where(apart < 40.0, 0.8, 0.2),
+        "falling": chance < np.clip(1.0 - apart / R, 0.0, 1.0),
+    }[kind]
+
+
+@BOTH
+@pytest.mark.parametrize("shape", ["round", "hollow", "two pieces", "grid"])
+def test_what_is_not_sorted_changes_no_region(monkeypatch, dimensions, shape):
+    """Cells beyond bounds of the scores stay unsorted: as if all were, bit for bit."""
+    random = np.random.default_rng(8)
+    position, apart = tissue(dimensions, 6000)
+    if shape == "hollow":
+        position = position[apart > 30.0]
+    if shape == "two pieces":
+        position[:2500] += [230.0, 0.0, 0.0]
+    if shape == "grid":  # many as far away as others, up to rounding
+        width = 2.0 * R / (18.0 if dimensions == 3 else 60.0)
+        position = np.unique(np.round(position / width), axis=0) * width
+    found = {}
+    for few, kind in ((few, kind) for kind in KINDS for few in (0, 10**9)):
+        monkeypatch.setattr(regions, "_FEW", few)
+        random = np.random.default_rng(9)
+        cells = cells_at(position + SHIFT, radius=0.5)
+        cells.state[painted(kind, 0.7 * position, random)] = State.QUIESCENT
+        cells.state[painted(kind, position, random)] = State.NECROTIC
+        cells.phase[~painted(kind, position, random) & (random.random(len(cells)) < 0.5)] = Phase.S
+        extent = extents.Extent(cells, dimensions)
+        found[few] = (extent.dead_core, extent.resting_core, extent.inhibited)
+        found[few] += tuple(extent.core(cells.dead, others) for others in (0.0, 0.2, 0.8))
+        if few:
+            assert found[0] == found[few], kind
+
+
+def test_a_core_is_found_among_few_sorted_cells(monkeypatch):
+    """Of a ball of 4 % of the cells no more than a tenth are sorted."""
+    position, apart = tissue()
+    sizes, argsort = [], np.argsort
+    monkeypatch.setattr(np, "argsort", lambda x, **how: sizes.append(len(x)) or argsort(x, **how))
+    assert core(position, apart < 0.35 * R) == pytest.approx(0.35 * R, rel=0.02)
+    assert sizes
+    assert max(sizes) < 0.1 * len(apart)
 
 
 ARREST = {
