@@ -543,7 +543,8 @@ class Mechanics:
         pairs = self.neighbours.pairs
         if pairs is None:
             pairs = self._update(position)
-        while forces.pack(self._cells, position, time - self.motion.begin, self._rows):
+        run = forces.pack_parallel if self._shared(pairs) else forces.pack
+        while run(self._cells, position, time - self.motion.begin, self._rows):
             pairs = self._update(position)
         return pairs
 
