@@ -24,7 +24,7 @@ from multicell.biology.division import ROUNDING, due_to_divide
 from multicell.biology.exposure import finite_rate, part_until
 from multicell.biology.growth import shrunk
 from multicell.biology.responding import rate_of, rate_of_harm, wants_rest
-from multicell.cells import SPHERE, Cells, FloatArray, IntArray, Mask, Phase, Share, Signals, State
+from multicell.cells import SPHERE, Cells, FloatArray, IntArray, Mask, Phase, Signals, State
 from multicell.random import GOLDEN, Purpose
 
 if TYPE_CHECKING:
