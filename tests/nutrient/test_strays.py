@@ -125,7 +125,7 @@ def test_tissue_without_strays_is_left_alone():
 
 @pytest.mark.parametrize("strays", [0, 1, 9, 40])
 def test_a_sample_that_shows_no_gap_changes_no_border(strays, monkeypatch):
-    """What a sample of the cells spares is the search for gaps, never one that is there."""
+    """A sample of the cells spares the search for gaps, and misses none that is there."""
     cells, rng = ball(9_000), np.random.default_rng(strays)
     cells[rng.choice(len(cells), strays, replace=False)] *= rng.uniform(1.0, 2.0, (strays, 1))
     found, radius = [], np.full(len(cells), RADIUS)
