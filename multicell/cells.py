@@ -219,10 +219,6 @@ class Cells:
             return self.replaced(index, Cells.empty(), share)
         return _made({name: column.take(index, axis=0) for name, column in vars(self).items()})
 
-    def rows(self, begin: int, end: int) -> Cells:
-        """Return cells that follow each other, in the same arrays."""
-        return _made({name: column[begin:end] for name, column in vars(self).items()})
-
     def copy(self) -> Cells:
         """Return the same cells in arrays of their own."""
         return _made({name: column.copy() for name, column in vars(self).items()})
