@@ -97,8 +97,8 @@ def fails(error, after_calls=0):
 WHERE = {
     "growth": (biology, "volumes_after"),
     "motion": (Mechanics, "pressure"),
-    "division": (biology, "divide"),
-    "removal": (biology, "remove_lysed"),
+    "division": (biology, "births"),
+    "removal": (biology, "lysed"),
     "first field": (FieldGroup, "solve"),
     "second field": (FieldGroup, "advance"),
     "sampling": (NutrientField, "read"),

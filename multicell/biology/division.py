@@ -113,13 +113,33 @@ def divide(
     and Poisson ratio and damage, and draw cycle time and modulus anew unless these are heritable;
     next_id: first identity that is free now; it has grown by two a division.
     """
-    if plan.growth is None:
+    born = births(plan, cells, next_id, dt, signals, factor, since)
+    if born is None:
         return cells, next_id
+    ripe, _, daughters = born
+    return cells.replaced(~ripe, daughters, share), int(daughters.id[-1]) + 1
+
+
+def births(
+    plan: BiologyPlan,
+    cells: Cells,
+    next_id: int,
+    dt: float = 0.0,
+    signals: Signals = _NONE,
+    factor: float | FloatArray = 1.0,
+    since: FloatArray | None = None,
+) -> tuple[Mask, IntArray, Cells] | None:
+    """Return which cells :func:`divide`, (n,), the row of each daughter's mother, and daughters.
+
+    None where no cell does.
+    """
+    if plan.growth is None:
+        return None
     ripe = due_to_divide(plan, cells)
     if since is not None:
         ripe |= ~np.isnan(since)
     if not np.count_nonzero(ripe) or not np.count_nonzero(ripe := ripe & (cells.doomed != 1)):
-        return cells, next_id
+        return None
     (rows,) = ripe.nonzero()
     rate = factor[rows] if isinstance(factor, np.ndarray) else np.full(len(rows), factor)
     waited, volume = _waited(plan, cells, rows, dt * rate)
@@ -141,7 +161,7 @@ def divide(
         daughters.progress = daughters.age.copy()
     if not plan.phased:
         _grow_since(plan, daughters, volume[order], waited[order])
-    return cells.replaced(~ripe, daughters, share), int(ids[-1]) + 1
+    return ripe, mother, daughters
 
 
 def _waited(

@@ -166,6 +166,6 @@ def lag_after(
     grew = growing(plan, began)
     if cells.id is not began.id:  # as in steps with divisions
         row = rows_before(began, cells) if row is None else row
-        grew, before = grew[row], before[row]
+        grew, before = grew.take(row), before.take(row)
     change = np.where(grew & growing(plan, cells), now - before, 0.0)
     return np.where(cells.dead, 0.0, cells.lag + 0.5 * dt * change)

@@ -24,7 +24,7 @@ from multicell.biology.division import ROUNDING, due_to_divide
 from multicell.biology.exposure import finite_rate, part_until
 from multicell.biology.growth import shrunk
 from multicell.biology.responding import rate_of, rate_of_harm, wants_rest
-from multicell.cells import SPHERE, Cells, FloatArray, IntArray, Mask, Phase, Share, Signals, State
+from multicell.cells import SPHERE, Cells, FloatArray, IntArray, Mask, Phase, Signals, State
 from multicell.random import GOLDEN, Purpose
 
 if TYPE_CHECKING:
@@ -428,17 +428,13 @@ def _tolerance(plan: BiologyPlan, ids: IntArray) -> FloatArray:
     return np.asarray(gammainccinv(shape, u) / shape)
 
 
-def remove_lysed(plan: BiologyPlan, cells: Cells, share: Share | None = None) -> tuple[Cells, int]:
-    """Remove dead cells smaller than ``removal_fraction`` of the birth volume; return how many."""
-    if plan.death is None:
-        return cells, 0
-    dead = cells.dead
-    if not np.count_nonzero(dead):
-        return cells, 0
+def lysed(plan: BiologyPlan, cells: Cells) -> Mask | None:
+    """Return which dead cells are below ``removal_fraction`` of the birth volume; None for none."""
+    if plan.death is None or not np.count_nonzero(dead := cells.dead):
+        return None
     smallest = plan.death.removal_fraction * plan.birth_volumes(cells.kind)
     gone = dead & (cells.volume < smallest)
-    removed = int(gone.sum())
-    return (cells.take(~gone, share), removed) if removed else (cells, 0)
+    return gone if np.count_nonzero(gone) else None
 
 
 def irradiate(

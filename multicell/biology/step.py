@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple, final
 import numpy as np
 
 from multicell.biology.cycle import Cycling, advance_cycle, leave_rest, phase_pace
-from multicell.biology.division import divide
+from multicell.biology.division import births
 from multicell.biology.growth import corrected_factor, volumes_after
 from multicell.biology.motion import bond_levels
 from multicell.biology.responding import wants_rest
@@ -19,11 +19,20 @@ from multicell.biology.states import (
     deaths,
     deciding,
     die,
-    remove_lysed,
+    lysed,
     rest_from_birth,
     update_states,
 )
-from multicell.cells import SPHERE, Cells, FloatArray, Mask, Share, Signals, rows_before
+from multicell.cells import (
+    SPHERE,
+    Cells,
+    FloatArray,
+    IntArray,
+    Mask,
+    Share,
+    Signals,
+    rows_before,
+)
 from multicell.scene.domain import check_inside
 from multicell.vectors import cubes
 
@@ -61,13 +70,18 @@ class Decided(NamedTuple):
 class Events(NamedTuple):
     """The cells after division and removal, the next free identity, and what was removed.
 
-    ``removals`` is a number of cells, ``released`` their volume in µm³.
+    ``removals`` is a number of cells, ``released`` their volume in µm³, ``row``, (n,), where the
+    cells or their mothers were before; None where nothing happened.
     """
 
     cells: Cells
     next_id: int
     removals: int
     released: float
+    row: IntArray | None
+
+
+_NOBODY = np.empty(0, dtype=np.int64)
 
 
 def grow(plan: BiologyPlan, cells: Cells, signals: Signals, factor: FloatArray, dt: float) -> Grown:
@@ -153,15 +167,26 @@ def divide_and_remove(
     ``time`` is that end and ``dt`` the length of the step, s, ``factor`` the part of unlimited
     growth at which cells have grown in it, (n,) or one for all; threads ``share`` the copying.
     """
-    divided, free = divide(plan, cells, next_id, dt, signals, factor, share=share)
-    if free > next_id:
+    born, gone = births(plan, cells, next_id, dt, signals, factor), lysed(plan, cells)
+    if born is None and gone is None:
+        return Events(cells, next_id, 0, 0.0, None)
+    ripe, mother, daughters = born or (np.zeros(len(cells), bool), _NOBODY, Cells.empty())
+    keep = ~ripe if gone is None else ~(ripe | gone)
+    (kept,) = keep.nonzero()
+    # one copy of what stays
+    after = cells.take(kept, share) if born is None else cells.replaced(kept, daughters, share)
+    if born is not None:
         # daughters lie within their mother: only one that is pressed nearly flat, or that no
         # wall holds, can have one outside
-        check_inside(plan.domain, divided.id, divided.position, time)
-        divided = bind_changed(plan, cells, divided, signals, time)
-    left, removals = remove_lysed(plan, divided, share)
-    released = float(divided.volume.sum()) - float(left.volume.sum()) if removals else 0.0
-    return Events(left, free, removals, released)
+        check_inside(plan.domain, after.id, after.position, time)
+        after = bind_changed(plan, cells, after, signals, time)
+    removals, released = 0, 0.0
+    if gone is not None:
+        removals, radius = int(np.count_nonzero(gone)), (cells.radius[~ripe], daughters.radius)
+        whole = float((SPHERE * cubes(np.concatenate(radius))).sum())
+        released = whole - float(after.volume.sum())
+    row = np.concatenate([kept, mother])
+    return Events(after, next_id + len(daughters), removals, released, row)
 
 
 def decide(

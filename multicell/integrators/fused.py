@@ -22,6 +22,7 @@ from multicell.compiling import arithmetic, called_at
 from multicell.compiling.threads import two_drivers
 
 _CHUNK = 4096  # cells in a chunk
+_BLOCK = 64  # cells whose divisions the vector units do together
 _AMOUNT, _CELL = range(2)  # columns of what is found for a chunk
 
 
@@ -57,17 +58,22 @@ def _assess(a, new, b, now, c, old, position, trial, rtol, atol, found):
 
     ``found`` is (chunks, 2): its first column is given the sums of squares over the tolerance.
     """
+    u, v, w = new.reshape(-1), now.reshape(-1), old.reshape(-1)
+    before, after = position.reshape(-1), trial.reshape(-1)
     for k in prange(found.shape[0]):
+        part = np.empty(3 * _BLOCK)
         # three sums, so that none waits for the other
         x, y, z = 0.0, 0.0, 0.0
-        for i in range(k * _CHUNK, min((k + 1) * _CHUNK, position.shape[0])):
-            p = a * new[i, 0] + b * now[i, 0] + c * old[i, 0]
-            q = a * new[i, 1] + b * now[i, 1] + c * old[i, 1]
-            r = a * new[i, 2] + b * now[i, 2] + c * old[i, 2]
-            p /= atol + rtol * max(abs(position[i, 0]), abs(trial[i, 0]))
-            q /= atol + rtol * max(abs(position[i, 1]), abs(trial[i, 1]))
-            r /= atol + rtol * max(abs(position[i, 2]), abs(trial[i, 2]))
-            x, y, z = x + p * p, y + q * q, z + r * r
+        end = np.uint64(3 * min((k + 1) * _CHUNK, position.shape[0]))
+        for first in range(np.uint64(3 * k * _CHUNK), end, np.uint64(3 * _BLOCK)):
+            size = min(np.uint64(3 * _BLOCK), end - first)
+            for i in range(size):  # by the vector units, which sums in their order are not for
+                p = first + i
+                share = atol + rtol * max(abs(before[p]), abs(after[p]))
+                part[i] = (a * u[p] + b * v[p] + c * w[p]) / share
+            for i in range(np.uint64(0), size, np.uint64(3)):
+                p, q, r = part[i], part[i + np.uint64(1)], part[i + np.uint64(2)]
+                x, y, z = x + p * p, y + q * q, z + r * r
         found[k, _AMOUNT] = x + y + z
     return found.shape[0]
 

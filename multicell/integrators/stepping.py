@@ -297,11 +297,10 @@ def stepping_kernels(
 
 @arithmetic
 def _is_finite(position):
-    for i in range(position.shape[0]):
-        for a in range(3):
-            if not math.isfinite(position[i, a]):
-                return False
-    return True
+    x, lost = position.reshape(-1), False
+    for k in range(x.size):  # without an early end, for the vector units
+        lost |= not abs(x[k]) < math.inf
+    return not lost
 
 
 @arithmetic

@@ -424,13 +424,15 @@ def _force_chunk(c, cells, rows, pairs, law, elapsed, stokes, out):
             out[i, axis] = sums[i - low, axis] * mobility
 
 
-@njit(**KERNEL)
-def pack(cells, position, elapsed, rows):
+def _pack(cells, position, elapsed, rows):
     """Fill ``rows`` for all cells; return whether any has drifted (see the chunk's)."""
     drifted = 0
-    for c in range(-(-rows.shape[0] // cells.chunk)):
-        drifted |= _pack_chunk(c, cells, position, elapsed, rows)
+    for c in prange(-(-rows.shape[0] // cells.chunk)):
+        drifted += _pack_chunk(c, cells, position, elapsed, rows)
     return drifted > 0
+
+
+pack, pack_parallel = two_drivers(_pack)
 
 
 def _forces(cells, pairs, law, position, elapsed, stokes, rows, out):

@@ -125,7 +125,7 @@ class Mechanics:
         if self.period is not None and self._period is not None:
             self._period[0] = self.period
             np.divide(1.0, self.period, out=self._period[1], where=self.period > 0.0)
-        self.neighbours = NeighbourList(np.empty(0), 0.0)
+        self.neighbours, self._room = NeighbourList(np.empty(0), 0.0), _NOTHING
         self._laws: dict[bool, Any] = {}
         self._cells: forces.CellData
         self._pair_data: forces.PairData
@@ -147,7 +147,9 @@ class Mechanics:
         if bonded not in self._laws:
             self._laws[bonded] = self._constants(bonded)
         self._law = self._laws[bonded]
-        self._rows = np.zeros((n, width))
+        if len(self._room) < n or self._room.shape[1] != width:
+            self._room = np.zeros((n + n // 8, width))  # for some steps of growing tissue
+        self._rows = self._room[:n]
         self._rows[:, COMPLIANCE] = compliance(motion.young, motion.poisson)
         largest = np.maximum(motion.radius, motion.end_radius)
         self.neighbours = NeighbourList(
@@ -543,7 +545,8 @@ class Mechanics:
         pairs = self.neighbours.pairs
         if pairs is None:
             pairs = self._update(position)
-        while forces.pack(self._cells, position, time - self.motion.begin, self._rows):
+        run = forces.pack_parallel if self._shared(pairs) else forces.pack
+        while run(self._cells, position, time - self.motion.begin, self._rows):
             pairs = self._update(position)
         return pairs
 

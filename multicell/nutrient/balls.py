@@ -288,6 +288,22 @@ def _read_rows(_, values, first, stride, factor, rows, along):
 
 
 @njit(**INNER)
+def _beyond(position, begin, size, widths, number, grid, low, high):
+    """Return whether no cell of a block reaches the planes ``low:high``.
+
+    What lies beyond the grid, or is no number, belongs to the planes at its ends; all with some
+    room.
+    """
+    (planes, _, _), origin, spacing, _ = grid
+    reaching = size if low == 0 and high == planes else 0
+    for c in range(begin, begin + size):
+        first = (position[c, 0] - origin[0]) / spacing - (0.5 + 0.5 * widths[c])
+        below = (first < low - number - 1) & (low > 0)
+        reaching += not (below | ((first > high + 1) & (high < planes)))
+    return reaching == 0
+
+
+@njit(**INNER)
 def _fits(first, number, n):
     return first >= 0.0 and first + number <= n  # nor does this
 
@@ -307,13 +323,19 @@ def _transfer(position, amount, values, density, out, grid, balls, left, low, hi
     for width in widths:
         widest = max(widest, width)
     points = widest == 0.0  # no literal, with which the next function would be compiled once more
+    beyond = False
     for cell in range(cells):
         c = cell % _BLOCK
         if c == 0:
             size = min(_BLOCK, cells - cell)
-            _lay(
-                position, cell, size, origin, spacing, widths, points, number, axes, first, weights
-            )
+            beyond = _beyond(position, cell, size, widths, number, grid, low, high)
+            if not beyond:
+                _lay(
+                    position, cell, size, origin, spacing, widths, points, number, axes, first,
+                    weights,
+                )  # fmt: skip
+        if beyond:
+            continue
         x, y, z = first[0, c], first[1, c], first[2, c]
         fits = _fits(x, number, nx) and _fits(y, number, ny) and _fits(z, deepest, nz)
         if not (fits and counts[cell] == 1 and (widths[cell] > 0.0 or points)):
@@ -432,28 +454,23 @@ def _shared(
     Readers share the cells. Those that spread share the planes across x, each with all cells that
     reach its own in their order: a node gets the same sum.
     """
-    counts, widths, *tables, number = balls
+    counts, widths, *tables = balls
     planes, spread, left = grid[0][0], density.size > 0, []
-    first = np.floor((points[:, 0] - grid[1][0]) / grid[2] - 0.5 * (1.0 + widths))
 
     def run(begin: int, end: int) -> None:
         low, high = (begin, end) if spread else (0, planes)
-        if spread:  # the ends also get what lies beyond, and what is no number; all with some room
-            below = (first < low - number - 1) & (low > 0)
-            rows = np.flatnonzero(~(below | ((first > high) & (high < planes))))
-        else:
-            rows = np.arange(begin, end)
-        those = points.take(rows, axis=0), amount.take(rows)
-        made = (counts.take(rows), widths.take(rows), *tables, number)
-        found, rest = np.empty(0 if spread else len(rows)), np.empty(len(rows), dtype=np.int64)
-        count = _transfer(*those, values, density, found, grid, made, rest, low, high)
-        left.append(rows[rest[:count]])
-        if not spread:
-            out[begin:end] = found
+        first, last = (0, len(points)) if spread else (begin, end)
+        part = slice(first, last)
+        made, rest = (counts[part], widths[part], *tables), np.empty(last - first, dtype=np.int64)
+        count = _transfer(
+            points[part], amount[part], values, density, out[part], grid, made, rest, low, high
+        )
+        if count:
+            left.append(first + rest[:count])
 
     with Team(threads) as team:
         team.share(run, planes if spread else len(points))
-    return np.unique(np.concatenate(left))
+    return np.unique(np.concatenate(left)) if left else np.empty(0, dtype=np.int64)
 
 
 Placed = tuple[FloatArray, Any, Any]

@@ -8,7 +8,7 @@ from typing import Any, final
 
 import numpy as np
 
-from multicell.vectors import FloatArray, cubes, lengths, weighted_mean
+from multicell.vectors import FloatArray, corners, cubes, lengths, weighted_mean
 
 _GAP = 1.5
 """Width of a gap, in diameters of the largest cell, up to which the tissue continues beyond it."""
@@ -69,6 +69,8 @@ def drawn_in(position: FloatArray, radius: FloatArray) -> FloatArray:
     if few < 1.0:
         return position
     gap = _GAP * 2.0 * float(radius.max())
+    if _is_dense(position, few, gap):
+        return position
     last, first = _ends(position, few)
     # no gap that wide is by what is not finite
     if (last[1:] - last[:-1]).max() <= gap and (first[:-1] - first[1:]).max() <= gap:
@@ -99,6 +101,21 @@ def drawn_to_ball(position: FloatArray, radius: FloatArray) -> FloatArray:
 def _few(count: int) -> float:
     """Return up to how many of so many cells beyond a gap are strays."""
     return min(_PART * count, _FEW)
+
+
+def _is_dense(position: FloatArray, few: float, gap: float) -> bool:
+    """Return whether a sample shows that no gap is wider among the outermost of :func:`_ends`.
+
+    Between cells of the sample others only part gaps, and as many of it lie no farther out.
+    """
+    count = int(2.0 * few) + 1
+    stride = math.isqrt(len(position) // (6 * count))
+    if stride < 2:
+        return False
+    (low, high), sample = corners(position), np.ascontiguousarray(position[::stride].T)
+    sample.sort(axis=1)
+    ends = np.column_stack([low, sample[:, :count]]), np.column_stack([sample[:, -count:], high])
+    return all(bool(np.diff(end).max() <= gap) for end in ends)
 
 
 def _ends(position: FloatArray, few: float) -> tuple[FloatArray, FloatArray]:

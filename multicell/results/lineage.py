@@ -8,7 +8,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import Cells, IntArray, State, rows_by_id
+from multicell.cells import Cells, IntArray, State, rows_before, rows_by_id
 
 LINEAGE_COLUMNS: Final[Mapping[str, Mapping[str, Any]]] = {
     "births": {"id": np.int64, "parent": np.int64, "kind": np.int16, "time": np.float64},
@@ -81,15 +81,22 @@ class Lineage:
 
     def died(self, cells: Cells, dead: NDArray[np.bool_], time: float) -> Lineage:
         """Return it with cells that have died by a time in s, each at its own, by identity."""
-        rows = dead.nonzero()[0]
+        rows = np.flatnonzero(dead)
         rows = rows[np.argsort(cells.id[rows])]
         return self._with("deaths", (cells.id[rows], time - cells.age[rows]))
 
-    def events(self, before: Cells, after: Cells, time: float) -> Lineage:
-        """Return it with what changed between two populations: births, divisions and removals."""
-        rows, there = after.rows_of(before.id), np.zeros(len(after) + 1, dtype=np.bool_)
-        there[rows] = True  # the last entry stands for those that are gone
-        new, gone = (~there[:-1]).nonzero()[0], (rows < 0).nonzero()[0]
+    def events(
+        self, before: Cells, after: Cells, time: float, row: IntArray | None = None
+    ) -> Lineage:
+        """Return it with what changed between two populations: births, divisions and removals.
+
+        - ``row``, (n,): where the cells after or their mothers were before; absent: searched for
+        """
+        row = rows_before(before, after) if row is None else row
+        new, there = np.flatnonzero(before.id.take(row) != after.id), np.zeros(len(before), bool)
+        there[row] = True
+        there[row[new]] = False  # mothers
+        gone = np.flatnonzero(~there)
         parent, ids = after.parent[new], before.id[gone]
         born = self._with("births", (after.id[new], parent, after.kind[new], time))
         cause = np.where(rows_by_id(parent, ids) < 0, before.state[gone], _DIVIDED)

@@ -173,6 +173,7 @@ class _People(NamedTuple):
     """The population after events; the names are those of :class:`RunState`.
 
     ``removals`` counts those of the step, and ``released`` is what all dead cells have lost so far.
+    ``row``, (n,), is where the cells or their mothers were, if that is known.
     """
 
     cells: Cells
@@ -183,6 +184,7 @@ class _People(NamedTuple):
     unsorted: int
     removals: int
     released: float
+    row: IntArray | None
 
 
 def _after_events(
@@ -207,15 +209,16 @@ def _after_events(
     cells, lineage, named = after.cells, state.lineage, state.named
     unsorted = state.unsorted + after.next_id - first + after.removals
     if after.next_id > first or after.removals:
-        lineage = lineage.events(aged, cells, end)
+        lineage = lineage.events(aged, cells, end, after.row)
         named = driven.pass_on(named, cells, first)
         if len(contacts):
             contacts = cells.id[contact_rows(cells, contacts)]
         contacts = with_newborn(plan, cells, contacts, first)
     cells, unsorted = sorted_in_space(cells, unsorted, run.mover.system.period, threads)
+    row = after.row if cells is after.cells else None
     released = state.released + lost + after.released
     return _People(
-        cells, contacts, lineage, named, after.next_id, unsorted, after.removals, released
+        cells, contacts, lineage, named, after.next_id, unsorted, after.removals, released, row
     )
 
 
@@ -395,6 +398,8 @@ def _attempt(
             held=held,
             jumps=jumps,
         )
+        if people.row is not None:
+            exposure.row = people.row
         decided = decide(plan, cells, found, exposure, ahead=timeline.ahead, time=end)
         exposure.cells = decided.cells
         return exposure, decided

@@ -18,8 +18,9 @@ from multicell.biology.draws import scatter_about
 from multicell.biology.growth import growth_factor, volumes_after
 from multicell.biology.initial import initial_cells, packed_ball
 from multicell.biology.plan import biology_plan
-from multicell.biology.states import deciding, remove_lysed, update_states
-from multicell.cells import SPHERE, Cells, State
+from multicell.biology.states import deciding, lysed, update_states
+from multicell.biology.step import divide_and_remove
+from multicell.cells import SPHERE, Cells, State, rows_before
 from multicell.random import Purpose
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_volume
@@ -392,10 +393,27 @@ def test_lysed_cells_are_removed_below_the_fraction_of_the_birth_volume() -> Non
         radius=np.array([limit * 0.999, limit * 1.001, limit * 0.5, 5.0]),
         state=np.array([State.NECROTIC, State.NECROTIC, State.QUIESCENT, State.NECROTIC]),
     )
-    left, removed = remove_lysed(biology_plan(scene), cells)
-    assert removed == 1
-    assert left.id.tolist() == cells.id[1:].tolist()
-    assert remove_lysed(biology_plan(make_scene(death=None)), cells) == (cells, 0)
+    assert lysed(biology_plan(scene), cells).tolist() == [True, False, False, False]
+    assert lysed(biology_plan(make_scene(death=None)), cells) is None
+
+
+def test_cells_that_divide_and_those_that_are_lysed_change_places_at_once():
+    """The same cells and volumes as one after the other, and known where they were."""
+    plan = biology_plan(make_scene(death={"lysis_time": "1 d"}))
+    rng = np.random.default_rng(3)
+    radius = 5.0 * rng.uniform(0.7, 1.02, 400)
+    state = rng.choice([State.PROLIFERATING, State.QUIESCENT, State.NECROTIC], 400)
+    radius[state == State.NECROTIC] *= rng.uniform(0.3, 0.8, (state == State.NECROTIC).sum())
+    cells = replace(some_cells(400), radius=radius, state=state)
+    divided, free = divide(plan, cells, 5000)
+    gone = lysed(plan, divided)
+    assert free > 5000
+    assert gone.sum() > 5
+    after = divide_and_remove(plan, cells, 5000, 60.0, 0.0)
+    assert after.cells.equals(divided.take(~gone))
+    assert (after.next_id, after.removals) == (free, gone.sum())
+    assert after.released == divided.volume.sum() - after.cells.volume.sum()
+    np.testing.assert_array_equal(after.row, rows_before(cells, after.cells))
 
 
 @pytest.mark.parametrize("swelling", [1.0, 1.5])

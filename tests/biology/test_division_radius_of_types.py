@@ -9,7 +9,7 @@ from multicell.biology.division import change_types, divide
 from multicell.biology.exposure import Exposure
 from multicell.biology.initial import initial_cells
 from multicell.biology.plan import biology_plan
-from multicell.biology.states import remove_lysed
+from multicell.biology.step import divide_and_remove
 from multicell.cells import SPHERE, State
 from multicell.errors import DataError
 from multicell.report.explain.scene import explain
@@ -170,7 +170,7 @@ def test_the_dead_are_removed_at_a_part_of_the_volume_of_their_type():
     plan = biology_plan(described)
     for part, left in ((0.11, 4), (0.09, 0)):
         shrunk = cells.changed(radius=cells.radius * part ** (1.0 / 3.0))
-        assert len(remove_lysed(plan, shrunk)[0]) == left
+        assert len(divide_and_remove(plan, shrunk, 100, 0.0, 0.0).cells) == left
 
 
 def test_pairs_and_estimates_know_the_sizes_of_types():

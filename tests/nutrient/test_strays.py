@@ -5,7 +5,7 @@ import pytest
 from running import finished
 
 import multicell as mc
-from multicell.nutrient import cartesian
+from multicell.nutrient import cartesian, tissue
 from multicell.nutrient.field import NutrientField
 from multicell.nutrient.parameters import FieldParameters
 from multicell.nutrient.tissue import Tissue, drawn_in, drawn_to_ball
@@ -121,6 +121,20 @@ def test_tissue_without_strays_is_left_alone():
         position, radius = ball(count), np.full(count, RADIUS)
         assert drawn_in(position, radius) is position
         assert drawn_to_ball(position, radius) is position
+
+
+@pytest.mark.parametrize("strays", [0, 1, 9, 40])
+def test_a_sample_that_shows_no_gap_changes_no_border(strays, monkeypatch):
+    """A sample of the cells spares the search for gaps, and misses none that is there."""
+    cells, rng = ball(9_000), np.random.default_rng(strays)
+    cells[rng.choice(len(cells), strays, replace=False)] *= rng.uniform(1.0, 2.0, (strays, 1))
+    found, radius = [], np.full(len(cells), RADIUS)
+    whole = tissue._is_dense
+    for known in (lambda *given: found.append(whole(*given)) or found[-1], lambda *_: False):
+        monkeypatch.setattr(tissue, "_is_dense", known)
+        found.append(drawn_in(cells, radius))
+    np.testing.assert_array_equal(found[1], found[2])
+    assert found[0] == (strays == 0)
 
 
 def test_a_thread_of_cells_is_tissue():
