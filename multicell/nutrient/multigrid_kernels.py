@@ -364,30 +364,30 @@ def average(begin: int, end: int, values: Any, shares: Any, out: Any) -> None:
 def _prolong(i: int, coarse: Any, others: Any, nearness: Any, row: Any, x: Any, out: Any) -> None:
     """Write plane i of ``x``, and of the interpolation between nodes of the next level, to ``out``.
 
-    Node i of an axis lies in i // 2; the second one that it lies between is ``others[i]``, with
-    the weight ``nearness[i]``. ``out`` has a rim.
+    Node i of an axis lies in i // 2; the second one that it lies between is ``others[i]``. Their
+    weights are ``nearness[:, i]``. ``out`` has a rim.
     """
     ny, nz = x.shape[1:]
     ox, oy, oz = others
     wx, wy, wz = nearness
-    n = coarse.shape[2]
+    n, own, other = coarse.shape[2], wz[0], wz[1]
     for j in range(ny):
         a, b = coarse[i // 2, j // 2], coarse[ox[i], j // 2]
         c, d = coarse[i // 2, oy[j]], coarse[ox[i], oy[j]]
-        u, v = wx[i], wy[j]
-        wa, wb, wc, wd = (_ONE - u) * (_ONE - v), u * (_ONE - v), (_ONE - u) * v, u * v
+        wa, wb = wx[0, i] * wy[0, j], wx[1, i] * wy[0, j]
+        wc, wd = wx[0, i] * wy[1, j], wx[1, i] * wy[1, j]
         for k in range(n):
             row[k] = (wa * a[k] + wb * b[k]) + (wc * c[k] + wd * d[k])
         e, o = x[i, j], out[j + 1, 1:]
         inner = max(nz // 2 - 1, 1)
         for k in range(1, inner):
             m = 2 * k
-            o[m] = e[m] + ((_ONE - wz[m]) * row[k] + wz[m] * row[k - 1])
-            o[m + 1] = e[m + 1] + ((_ONE - wz[m + 1]) * row[k] + wz[m + 1] * row[k + 1])
+            o[m] = e[m] + (own[m] * row[k] + other[m] * row[k - 1])
+            o[m + 1] = e[m + 1] + (own[m + 1] * row[k] + other[m + 1] * row[k + 1])
         for k in range(min(2, nz)):
-            o[k] = e[k] + ((_ONE - wz[k]) * row[k // 2] + wz[k] * row[oz[k]])
+            o[k] = e[k] + (own[k] * row[k // 2] + other[k] * row[oz[k]])
         for k in range(2 * inner, nz):
-            o[k] = e[k] + ((_ONE - wz[k]) * row[k // 2] + wz[k] * row[oz[k]])
+            o[k] = e[k] + (own[k] * row[k // 2] + other[k] * row[oz[k]])
 
 
 @_jit
