@@ -425,7 +425,7 @@ def up(
                 given, made = (added, once[i % 3]) if sweep == 0 else (once, out[i])
                 _relax(i, given, b, inverse, level, weights, damping[sweep], made, beside)
         if begin <= i < end:
-            first, second = np.zeros(nz), np.zeros(nz)
+            first, second = np.zeros(nz, np.float32), np.zeros(nz, np.float32)
             _multiply(out[i], b[i], q[i], first, second)
             parts[0, i], parts[1, i] = _sum(first), _sum(second)
 
@@ -459,7 +459,7 @@ def apply_direction(
         i = front - 1
         if not begin <= i < end:
             continue
-        total = np.zeros(nz)
+        total = np.zeros(nz, np.float32)
         _apply(i, planes, rate, level, weights, out, total)
         parts[i] = _sum(total)
 
@@ -471,7 +471,7 @@ def update_residual_planes(
     """Do ``x += alpha p``, ``r -= alpha q``; write ``r . r`` of each plane to ``parts``, (nx,)."""
     ny, nz = x.shape[1:]
     for i in range(begin, end):
-        total = np.zeros(nz)
+        total = np.zeros(nz, np.float32)
         for j in range(ny):
             solution, along, left, change = x[i, j], p[i, j], r[i, j], q[i, j]
             for k in range(nz):
@@ -527,7 +527,7 @@ def dot_planes(begin: int, end: int, a: Any, b: Any, parts: Any) -> None:
     """Write ``a . b`` of each plane to ``parts``, (nx,)."""
     ny, nz = a.shape[1:]
     for i in range(begin, end):
-        total = np.zeros(nz)
+        total = np.zeros(nz, np.float32)
         for j in range(ny):
             u, v = a[i, j], b[i, j]
             for k in range(nz):
