@@ -199,7 +199,7 @@ def _newton(
         if state.size <= target or not math.isfinite(state.size):
             return state, state.size <= target
         trial = trial or state.empty_copy()
-        goal = max(forcing, 0.3 * target / state.size)
+        goal = max(forcing, 0.8 * target / state.size)
         correction = linear.solve(state.rate, state.residual, state.size, goal)
         _search(state, trial, correction)
         forcing = min(FORCING, (trial.size / state.size) ** 2)
