@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from multicell.compiling import INLINED, KERNEL, UNCOUNTED, typed
+from multicell.nutrient.stencil import imbalance_of_planes
 
 _jit = typed(**KERNEL, nogil=True)
 # a call for each row would take as long as its work
@@ -508,14 +509,33 @@ def load(
 
 
 @_jit
-def add_correction(begin: int, end: int, c: Any, correction: Any, share: float, out: Any) -> None:
-    """Write ``c + share correction`` to ``out``; c and out are float64."""
-    ny, nz = c.shape[1:]
+def move_planes(
+    begin: int,
+    end: int,
+    c: Any,
+    correction: Any,
+    share: float,
+    law: Any,
+    there: Any,
+    residual: Any,
+    rate: Any,
+    parts: Any,
+) -> None:
+    """Set ``there`` to ``c + share correction``, and write its imbalance.
+
+    ``law`` and ``parts``, (5, nx), are those of :func:`.stencil.imbalance_of_planes`, which follows
+    at a distance of one plane. One more plane on either side is moved: others write the same to it.
+    """
+    nx, ny, nz = c.shape
+    moved = max(begin - 1, 0)
     for i in range(begin, end):
-        for j in range(ny):
-            old, way, new = c[i, j], correction[i, j], out[i, j]
-            for k in range(nz):
-                new[k] = old[k] + share * way[k]
+        for front in range(moved, min(i + 2, nx)):
+            for j in range(ny):
+                old, way, new = c[front, j], correction[front, j], there[front, j]
+                for k in range(nz):
+                    new[k] = old[k] + share * way[k]
+        moved = min(i + 2, nx)
+        imbalance_of_planes(i, i + 1, there, *law, residual, rate, parts, 1)
 
 
 @_jit

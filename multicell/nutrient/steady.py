@@ -31,7 +31,7 @@ with the preconditioner S (-D L0 + d0)^-1 S: sine and cosine transforms invert t
 and the diagonal S = (w + d h^2 / 2 D)^-1/2 takes care of nodes where uptake is faster than
 diffusion, and of a coefficient w D that differs from place to place. On :data:`MULTIGRID_NODES`
 nodes and more, and where a layer of medium ends inside of the grid, which transforms know nothing
-of, a V-cycle of multigrid takes its place (:mod:`multicell.nutrient.multigrid`).
+of, V-cycles of multigrid take their place (:mod:`multicell.nutrient.multigrid`).
 """
 
 from __future__ import annotations
@@ -282,11 +282,11 @@ class _State:
             product, *sums = stencil.imbalance_there(c, along, share, *law, *own)
             self._take(sums)
             return product
-        from multicell.nutrient.multigrid_kernels import add_correction
+        from multicell.nutrient.multigrid_kernels import move_planes
 
-        light = stencil.teams(team, c.size)[1]
-        light.share(add_correction, len(c), c, correction, share, self.c)
-        self.evaluate()
+        own, parts = (self.c, self.residual, self.rate), np.empty((5, len(c)))
+        team.share(move_planes, len(c), c, correction, share, self.problem.law, *own, parts)
+        self._take(parts.sum(axis=1).tolist())
         return self.along(correction)
 
     def _take(self, sums: Sequence[float]) -> None:

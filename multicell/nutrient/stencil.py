@@ -253,14 +253,6 @@ def imbalance_there(
     return product, parts[0, 0], parts[1, 0], parts[2, 0], parts[3, 0], parts[4, 0]
 
 
-@_inner
-def _sum(values: FloatArray) -> float:
-    total = 0.0
-    for k in range(values.size):
-        total += values[k]
-    return total
-
-
 @_both
 def imbalance_of_planes(
     begin: int,
@@ -288,9 +280,11 @@ def imbalance_of_planes(
     row, diagonal = np.empty(nz), np.empty(nz)
     for k in range(nz):
         diagonal[k] = 6.0
-    sinks, changes, sums = np.empty(nz), np.empty(nz), np.zeros((5, nz))
-    squares, total, size, net, change = sums[0], sums[1], sums[2], sums[3], sums[4]
+    sinks, changes = np.empty(nz), np.empty(nz)
+    squares, total, size, net, change = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(begin, end):
+        if i % block == 0:
+            squares, total, size, net, change = 0.0, 0.0, 0.0, 0.0, 0.0
         for j in range(ny):
             if weights is None:
                 _fill_row(c, ghost, i, j, row)
@@ -315,17 +309,14 @@ def imbalance_of_planes(
                     left[k], slopes[k] = row[k], slopes[k] + pull[k]
                     changes[k] += pull[k] * e[k]
             for k in range(nz):
-                squares[k] += row[k] * row[k]
-                net[k] += row[k]
-            for k in range(nz):
-                size[k] += e[k] * e[k]
-            for k in range(nz):
-                total[k] += sinks[k]
-                change[k] += changes[k]
-        if (i + 1) % block == 0:
-            for m in range(5):
-                parts[m, i // block] = _sum(sums[m])
-            sums[:] = 0.0
+                squares += row[k] * row[k]
+                total += sinks[k]
+                size += e[k] * e[k]
+                net += row[k]
+                change += changes[k]
+        place = i // block
+        parts[0, place], parts[1, place], parts[2, place] = squares, total, size
+        parts[3, place], parts[4, place] = net, change
 
 
 @_jit
@@ -565,10 +556,11 @@ def account(c: FloatArray, sink: FloatArray, half: float, residual: Floats) -> t
     Arguments as for :func:`write_imbalance`.
     """
     nx, ny, nz = c.shape
-    left, taken = np.zeros(nz), np.zeros(nz)
+    left, taken = 0.0, 0.0
     for i in range(nx):
         for j in range(ny):
             for k in range(nz):
-                left[k] += abs(residual[i, j, k])
-                taken[k] += uptake(sink[i, j, k], c[i, j, k], half)
-    return _sum(left), _sum(taken)
+                left += abs(residual[i, j, k])
+                if sink[i, j, k] != 0.0:
+                    taken += uptake(sink[i, j, k], c[i, j, k], half)
+    return left, taken

@@ -32,9 +32,9 @@ def uptake_and_slope(most: Any, c: Any, half: Any) -> Any:
     Below zero, where only intermediate iterates can be, uptake continues along its tangent at zero.
     """
     kept = 0.5 * (c + abs(c))  # the larger of c and 0, of numbers and of arrays
-    inverse = 1.0 / (half + kept)  # once: a division takes as long as all the rest
-    slope = most * inverse * (half * inverse)
-    return most * kept * inverse + slope * (c - kept), slope
+    share = half / (half + kept)
+    slope = most / (half + kept) * share
+    return most * kept / (half + kept) + slope * (c - kept), slope
 
 
 @register_jitable
