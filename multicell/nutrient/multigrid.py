@@ -12,8 +12,8 @@ fourth degree in the Jacobi-scaled operator for the upper 85 % of its spectrum, 
 steps in one pass over memory. The last level is one node. (Briggs, Henson & McCormick 2000, A
 Multigrid Tutorial; Adams et al. 2003, J. Comput. Phys. 188:593, on polynomial smoothers.)
 
-Where that is slow (the coefficient of diffusion jumps, or few nodes take up so fast that means say
-little of them) a cycle from zero is the preconditioner of conjugate gradients. It is not symmetric:
+Where that is slow (the coefficient of diffusion jumps far, or few nodes take up so fast that means
+say little of them) a cycle from zero is the preconditioner of conjugate gradients. It is not symmetric:
 the directions are made conjugate by the formula of Polak and Ribiere, which does not ask for that
 (Notay 2000, SIAM J. Sci. Comput. 22:1444).
 
@@ -248,7 +248,7 @@ class MultigridSolver:
         operator.room = self._hierarchy.room
         self._finest = self._hierarchy.levels[0]
         self._x, self._p, self._q = self._finest.work
-        self._fast = operator.varied is None and len(self._hierarchy.levels) > 1
+        self._fast = len(self._hierarchy.levels) > 1
         self._r = self._finest.b
 
     def solve(self, rate: Floats, residual: Floats, size: float, goal: float) -> Floats:
