@@ -13,9 +13,9 @@ steps in one pass over memory. The last level is one node. (Briggs, Henson & McC
 Multigrid Tutorial; Adams et al. 2003, J. Comput. Phys. 188:593, on polynomial smoothers.)
 
 Where that is slow (the coefficient of diffusion jumps far, or few nodes take up so fast that means
-say little of them) a cycle from zero is the preconditioner of conjugate gradients. It is not symmetric:
-the directions are made conjugate by the formula of Polak and Ribiere, which does not ask for that
-(Notay 2000, SIAM J. Sci. Comput. 22:1444).
+say little of them) a cycle from zero is the preconditioner of conjugate gradients. It is not
+symmetric: the directions are made conjugate by the formula of Polak and Ribiere, which does not ask
+for that (Notay 2000, SIAM J. Sci. Comput. 22:1444).
 
 All of it is in single precision, half the memory to go through. Newton's method around it
 evaluates the imbalance in double precision and so removes what rounding leaves here.
