@@ -1,21 +1,21 @@
-"""Linear systems of the steady field on many nodes: conjugate gradients with multigrid.
+"""Linear systems of the steady field on many nodes: cycles of multigrid.
 
 The systems are those of :mod:`multicell.nutrient.steady`, (-D L0 + d) x = r. On a few ten thousand
-nodes and more a V-cycle of geometric multigrid is a better preconditioner than sine transforms:
-it knows at which nodes uptake is fast, so that four to six iterations take the place of
-fifteen, and each costs a third.
+nodes and more V-cycles of geometric multigrid take the place of sine transforms: they know at which
+nodes uptake is fast, so that each leaves a fifteenth of the imbalance over.
 
 A node of the next coarser level is made of two along each axis, of one at the end of an axis with
 an odd number: a grid of boxes of unequal width, on which finite volumes give the operator again
 (so any number of nodes will do). Residuals and rates are averaged, corrections interpolated
-linearly. The smoother before and after is the Chebyshev polynomial of second degree in the
-Jacobi-scaled operator for the upper five sixths of its spectrum, two damped Jacobi steps. The last
-level is one node. (Briggs, Henson & McCormick 2000, A Multigrid Tutorial; Adams et al. 2003,
-J. Comput. Phys. 188:593, on polynomial smoothers.)
+linearly and made larger by 6 %. The smoother comes after them alone: the Chebyshev polynomial of
+fourth degree in the Jacobi-scaled operator for the upper 85 % of its spectrum, four damped Jacobi
+steps in one pass over memory. The last level is one node. (Briggs, Henson & McCormick 2000, A
+Multigrid Tutorial; Adams et al. 2003, J. Comput. Phys. 188:593, on polynomial smoothers.)
 
-Averaging is not the transpose of linear interpolation, so that the preconditioner is symmetric in
-part only: the directions are made conjugate by the formula of Polak and Ribiere, which does not
-ask for more (Notay 2000, SIAM J. Sci. Comput. 22:1444).
+Where that is slow (the coefficient of diffusion jumps far, or few nodes take up so fast that means
+say little of them) a cycle from zero is the preconditioner of conjugate gradients. It is not
+symmetric: the directions are made conjugate by the formula of Polak and Ribiere, which does not ask
+for that (Notay 2000, SIAM J. Sci. Comput. 22:1444).
 
 All of it is in single precision, half the memory to go through. Newton's method around it
 evaluates the imbalance in double precision and so removes what rounding leaves here.
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 Float32Array = NDArray[np.float32]
 Triple = tuple[Any, Any, Any]
 
-FINEST = 1e-4
+FINEST = 1e-5
 """Least part of the imbalance that is asked to be left over: single precision allows no less."""
 
 _ARRAYS = 8  # of the nodes of a level
@@ -55,14 +55,19 @@ _SPARE = 1.2
 """Memory taken over what is needed: a grid that grows with its tissue then fits in it. Pages that
 nobody writes to cost nothing, and new ones of the system take as long as a solve."""
 
-_MIDDLE, _HALF = 7.0 / 6.0, 5.0 / 6.0  # of the spectrum that the smoother damps: 1/3 to 2
+_MIDDLE, _HALF = 1.15, 0.85  # of the spectrum that the smoother damps: 0.3 to 2
 _SMOOTHER = tuple(
-    np.float32(1.0 / (_MIDDLE + sign * _HALF * math.sqrt(0.5))) for sign in (1.0, -1.0)
+    np.float32(1.0 / (_MIDDLE + _HALF * math.cos(math.pi * (2 * k + 1) / 8))) for k in (0, 3, 1, 2)
 )
-"""Inverse roots of the Chebyshev polynomial: the weights of two damped Jacobi steps."""
+"""Inverse roots of the Chebyshev polynomial: the weights of four damped Jacobi steps."""
+
+_POOR = 0.03  # of the imbalance may be left over where rounding slows cycles down
+
+_SLOW = 0.25
+"""Part of the imbalance that a cycle leaves over where conjugate gradients are taken instead."""
 
 
-_Axis = tuple[Float32Array, Float32Array, NDArray[np.int64], Float32Array]
+_Axis = tuple[Float32Array, Float32Array, Float32Array]
 """Coefficients of a level along an axis, see :func:`_axis`."""
 
 
@@ -79,7 +84,7 @@ class _Level:
     """
 
     def __init__(self, axes: list[_Axis], team: Team, room: Float32Array) -> None:
-        self.along, self.shares, self.others, self.nearness = map(_triple, zip(*axes, strict=True))
+        self.along, self.shares, self.nearness = map(_triple, zip(*axes, strict=True))
         nx, ny, nz = map(len, self.shares)
         self.shape = (nx, ny, nz)
         self.weights: Triple | None = None
@@ -100,34 +105,23 @@ class _Level:
         """Bring ``inverse`` up to date with the rates."""
         self.share_light(kernels.invert_diagonal, self.rate, self.along, self.weights, self.inverse)
 
-    def restrict(self, coarse: _Level) -> None:
-        """Take two damped Jacobi steps from zero, and give what they leave to the next level."""
-        self.team.share(
-            kernels.down,
-            coarse.shape[0],
-            self.b,
-            self.rate,
-            self.inverse,
-            self.along,
-            self.weights,
-            _SMOOTHER,
-            self.shares,
-            self.x,
-            coarse.b,
-        )
+    def leave(self, coarse: _Level) -> float:
+        """Give what ``x`` leaves of ``b`` to the next level; return its norm."""
+        own = self.b, self.x, self.rate, self.along, self.weights, self.shares
+        self.team.share(kernels.leave, coarse.shape[0], *own, coarse.b, self.parts[0])
+        return math.sqrt(float(self.parts[0].sum()))
 
     def average(self, values: Float32Array, out: Float32Array) -> None:
         """Write means over the nodes in each node of the next level."""
         self.light.share(kernels.average, len(out), values, self.shares, out)
 
-    def correct(self, coarse: _Level) -> None:
-        """Add the solution of the next level, and take two damped Jacobi steps."""
+    def correct(self, coarse: _Level, start: Float32Array, parts: FloatArray) -> None:
+        """Add the solution of the next level to ``start``, and take damped Jacobi steps."""
         self.share(
             kernels.up,
             coarse.x,
-            self.others,
             self.nearness,
-            self.x,
+            start,
             self.b,
             self.inverse,
             self.along,
@@ -135,7 +129,7 @@ class _Level:
             _SMOOTHER,
             self.work[2],
             self.spare,
-            self.parts,
+            parts,
         )
         self.x, self.spare = self.spare, self.x
 
@@ -195,28 +189,50 @@ class Hierarchy:
             fine.invert_diagonal()
             fine.average(fine.rate, coarse.rate)
 
-    def cycle(self) -> Float32Array:
-        """Solve A x = b approximately on the finest level; the result lives until the next call."""
-        for level, coarse in self._pairs:
-            level.restrict(coarse)
+    def cycle(self, *, onward: bool = False, products: bool = False) -> Float32Array:
+        """Solve A x = b approximately on the finest level; the result lives until the next call.
+
+        - ``onward``: improve the last result, of which the next level has what it leaves over
+        - ``products``: of the result with ``b`` and with ``work[2]``, to ``parts``
+        """
+        finest = self.levels[0]
+        for level, coarse in self._pairs[int(onward) :]:
+            level.average(level.b, coarse.b)
         self.levels[-1].solve()
         for level, coarse in reversed(self._pairs):
-            level.correct(coarse)
-        finest = self.levels[0]
+            first = level is finest
+            start = level.x if onward and first else level.x[:0]
+            level.correct(coarse, start, level.parts if products and first else level.parts[:, :0])
         if not self._pairs:
             for part, other in zip(finest.parts, (finest.b, finest.work[2]), strict=True):
                 np.sum(finest.x * other, axis=(1, 2), out=part)
         return finest.x
 
+    def iterate(self, goal: float, most: int) -> tuple[int, bool]:
+        """Take cycles until a part ``goal`` of ``b``, whose norm is one, is left over.
+
+        Return their number, and whether none was slow before rounding was all that is left.
+        """
+        left = 1.0
+        for count in range(1, most):
+            self.cycle(onward=count > 1)
+            before, left = left, self.levels[0].leave(self.levels[1])
+            if left <= goal or left > _SLOW * before:
+                return count, left <= max(goal, _POOR)
+            if 2.0 * left**2 <= goal * before:  # the next one will do; nobody need look
+                self.cycle(onward=True)
+                return count + 1, True
+        return most, False
+
 
 @final
 class MultigridSolver:
-    """Conjugate gradients preconditioned by a V-cycle, with the arrays that they work in.
+    """V-cycles, or conjugate gradients preconditioned by them, with the arrays they work in.
 
     - ``operator``: diffusion with its conditions, whose ``room`` it works in
     - ``team``: see :class:`Hierarchy`
 
-    - ``newton``, ``cg``, int: systems solved and iterations
+    - ``newton``, ``cg``, int: systems solved and iterations, of cycles as of conjugate gradients
     """
 
     def __init__(self, operator: Diffusion, team: Team) -> None:
@@ -232,6 +248,7 @@ class MultigridSolver:
         operator.room = self._hierarchy.room
         self._finest = self._hierarchy.levels[0]
         self._x, self._p, self._q = self._finest.work
+        self._fast = len(self._hierarchy.levels) > 1
         self._r = self._finest.b
 
     def solve(self, rate: Floats, residual: Floats, size: float, goal: float) -> Floats:
@@ -241,9 +258,24 @@ class MultigridSolver:
         solve.
         """
         self._begin(rate, residual, size)
+        goal = max(goal, FINEST)
+        if self._fast:
+            count, self._fast = self._hierarchy.iterate(goal, MAX_CG)
+            self.cg += count
+        x = self._finest.x if self._fast else self._conjugate(goal)
+        self.newton += 1
+        shape, scale = self.operator.shape, size / self.operator.stiffness
+        if residual.dtype == np.float64:  # nor has a correction that is far below one
+            return np.asarray(x.reshape(shape), dtype=np.float64) * scale
+        x *= np.float32(scale)
+        return x.reshape(shape)
+
+    def _conjugate(self, goal: float) -> Float32Array:
+        """Solve the system by conjugate gradients."""
         x, r, p, q = self._x, self._r, self._p, self._q
+        x[...], p[...] = 0.0, 0.0
         level, parts = self._finest, np.empty(len(r))
-        z = self._hierarchy.cycle()
+        z = self._hierarchy.cycle(products=True)
         rho = float(level.parts[0].sum())
         beta = 0.0
         for _ in range(MAX_CG):
@@ -256,18 +288,13 @@ class MultigridSolver:
             alpha = rho / curvature
             level.share_light(kernels.update_residual_planes, np.float32(alpha), x, p, r, q, parts)
             self.cg += 1
-            if not float(parts.sum()) > max(goal, FINEST) ** 2:
+            if not float(parts.sum()) > goal**2:
                 break
-            z = self._hierarchy.cycle()
+            z = self._hierarchy.cycle(products=True)
             following, change = level.parts.sum(axis=1).tolist()
             beta, rho = -alpha * change / rho, following
         self._p = p
-        self.newton += 1
-        shape, scale = self.operator.shape, size / self.operator.stiffness
-        if residual.dtype == np.float64:  # nor has a correction that is far below one
-            return np.asarray(x.reshape(shape), dtype=np.float64) * scale
-        x *= np.float32(scale)
-        return x.reshape(shape)
+        return x
 
     def _begin(self, rate: Floats, residual: Floats, size: float) -> None:
         """Take a system, divided by D/h² and by the size of its right-hand side."""
@@ -279,8 +306,6 @@ class MultigridSolver:
             size,
             self._finest.rate,
             self._r,
-            self._x,
-            self._p,
         )
         self._hierarchy.set_rate()
 
@@ -303,7 +328,7 @@ def _axis(n: int, low: bool, high: bool) -> tuple[_Axis, ...]:
     while True:
         coarser = np.add.reduceat(width, np.arange(0, len(width), 2))
         share = _single(width / np.repeat(coarser, 2)[: len(width)])
-        found.append((_along(width, low, high), share, *_between(width, coarser)))
+        found.append((_along(width, low, high), share, _between(width, coarser, low, high)))
         if len(width) == 1:
             return tuple(found)
         width = coarser
@@ -324,17 +349,21 @@ def _along(width: FloatArray, low: bool, high: bool) -> Float32Array:
     return _single(table / width)
 
 
-def _between(width: FloatArray, coarser: FloatArray) -> tuple[NDArray[np.int64], Float32Array]:
-    """Return the second coarse node that each node lies between, and its weight, (n,) both.
+def _between(width: FloatArray, coarser: FloatArray, low: bool, high: bool) -> Float32Array:
+    """Return the weights of the two coarse nodes that each node lies between, (2, n).
 
-    Between the last coarse node and a face the correction is taken as constant.
+    Between the last coarse node and a face the correction is taken as constant, or falls to zero
+    where that has a value.
     """
     middle, coarse = np.cumsum(width) - 0.5 * width, np.cumsum(coarser) - 0.5 * coarser
     parent = np.arange(len(width)) // 2
     away = middle - coarse[parent]
     other = np.clip(parent + np.sign(away).astype(np.int64), 0, len(coarse) - 1)
-    distance = np.where(other == parent, 1.0, coarse[other] - coarse[parent])
-    return other, _single(np.where(other == parent, 0.0, away / distance))
+    inner = other != parent
+    distance = np.where(inner, coarse[other] - coarse[parent], 0.5 * coarser[parent])
+    part = np.abs(away / distance)
+    ends = np.where(away < 0.0, low, high)  # a node in the middle of its coarse one has none
+    return _single(np.array([1.0 - part * (inner | ends), part * inner]))
 
 
 def _single(values: FloatArray) -> Float32Array:

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from multicell.compiling import INLINED, KERNEL, UNCOUNTED, typed
+from multicell.nutrient.stencil import imbalance_of_planes
 
 _jit = typed(**KERNEL, nogil=True)
 # a call for each row would take as long as its work
@@ -29,6 +30,8 @@ _bare = typed(**UNCOUNTED, forceinline=True, nogil=True)
 
 _NONE = np.float32(0.0)
 _ONE = np.float32(1.0)
+_LIFT = np.float32(1.06)
+"""Factor of corrections: means and interpolation make them a little too small."""
 
 
 @_bare
@@ -163,35 +166,37 @@ def _relax(
 
 @_bare
 def _leave_row(
-    around: Any, unit: Any, row: Any, b: Any, rate: Any, own: Any, share: Any, out: Any
+    around: Any, unit: Any, row: Any, b: Any, rate: Any, own: Any, share: Any, out: Any, total: Any
 ) -> None:
-    """Add a share of ``b - A x`` to ``out``."""
+    """Add a share of ``b - A x`` to ``out`` and its squares to ``total``."""
     base, diagonal = own
     e = around[6]
     for k in range(b.size):
         beside = b[k] + _near(around, unit, row, k)
-        out[k] += share * (beside - (base + diagonal[k] + rate[k]) * e[k])
+        left = beside - (base + diagonal[k] + rate[k]) * e[k]
+        out[k] += share * left
+        total[k] += left * left
 
 
 @_bare
 def _leave(
-    i: int, x: Any, b: Any, rate: Any, level: Any, weights: Any, shares: Any, total: Any
+    i: int, x: Any, b: Any, rate: Any, level: Any, weights: Any, shares: Any, out: Any, total: Any
 ) -> None:
     """Add plane i of ``b - A x``, by the nodes' shares, to rows of the next level."""
     along, unit, row, diagonal = level
     nx, ny, _ = b.shape
     for j in range(ny):
-        left = total[np.uintp(j // 2)]
+        left = out[np.uintp(j // 2)]
         if i % 2 == 0 and j % 2 == 0:
             _clear(left)
         around, share = _rows_around(x, i, nx, j), shares[0][i] * shares[1][j]
         right, r = b[np.uintp(i), np.uintp(j)], rate[np.uintp(i), np.uintp(j)]
         if weights is None and unit != _NONE:
             own = _across(along, i, j), diagonal
-            _leave_row(around, unit, None, right, r, own, share, left)
+            _leave_row(around, unit, None, right, r, own, share, left, total)
         else:
             own = _fill(along, weights, i, j, around, row, diagonal), diagonal
-            _leave_row(around, unit, row, right, r, own, share, left)
+            _leave_row(around, unit, row, right, r, own, share, left, total)
 
 
 @_bare
@@ -227,16 +232,6 @@ def _apply(i: int, x: Any, rate: Any, level: Any, weights: Any, out: Any, total:
 
 
 @_bare
-def _scale(b: Any, inverse: Any, damping: Any, out: Any) -> None:
-    """Write ``damping b / diagonal`` of a plane to ``out``, which has a rim."""
-    ny, nz = b.shape
-    for j in range(ny):
-        right, v, o = b[np.uintp(j)], inverse[np.uintp(j)], out[np.uintp(j + 1), 1:]
-        for k in range(nz):
-            o[k] = damping * right[k] * v[k]
-
-
-@_bare
 def _multiply(x: Any, b: Any, q: Any, first: Any, second: Any) -> None:
     """Add the products of nodes of a plane with those of two others to two rows."""
     ny, nz = x.shape
@@ -249,11 +244,11 @@ def _multiply(x: Any, b: Any, q: Any, first: Any, second: Any) -> None:
 
 
 @_bare
-def _strip(x: Any, out: Any) -> None:
-    """Copy a plane with a rim to one without."""
-    ny, nz = out.shape
+def _copy(x: Any, out: Any, inner: int, rim: int) -> None:
+    """Copy a plane to another one; ``inner`` and ``rim`` are the widths of their rims."""
+    ny, nz = x.shape[0] - 2 * inner, x.shape[1] - 2 * inner
     for j in range(ny):
-        e, o = x[np.uintp(j + 1), 1:], out[np.uintp(j)]
+        e, o = x[np.uintp(j + inner), np.uintp(inner) :], out[np.uintp(j + rim), np.uintp(rim) :]
         for k in range(nz):
             o[k] = e[k]
 
@@ -299,44 +294,38 @@ def invert_diagonal(
 
 
 @_jit
-def down(
+def leave(
     begin: int,
     end: int,
     b: Any,
+    x: Any,
     rate: Any,
-    inverse: Any,
     along: Any,
     weights: Any,
-    damping: Any,
     shares: Any,
-    x: Any,
     out: Any,
+    parts: Any,
 ) -> None:
-    """Take two damped Jacobi steps from zero to ``x``, and write to ``out`` what they leave.
+    """Write the mean of ``b - A x`` over the up to eight nodes in each node of the next level.
 
-    That is the mean of ``b - A x`` over the up to eight nodes in each node of the next level, of
-    which the planes from ``begin`` to ``end`` are made. ``shares`` (n,) of each axis are the nodes'
-    widths over that of the one they lie in. A step follows the one before at a distance of one
-    plane, while that is in the nearest memory; those beside the own planes are made once more.
+    The planes from ``begin`` to ``end`` are those of that level, ``out``. ``shares`` (n,) of each
+    axis are the nodes' widths over that of the one they lie in. The squares of each plane of this
+    level go to ``parts``, (nx,).
     """
     nx, ny, nz = b.shape
     level = along, _unit(along), *_rows(along)
     start, stop = 2 * begin, min(2 * end, nx)
-    once, twice = _rimmed(ny, nz), _rimmed(ny, nz)
+    planes = _rimmed(ny, nz)
     total = np.empty((out.shape[1], nz), np.float32)
-    for front in range(max(start - 2, 0), stop + 2):
+    for front in range(max(start - 1, 0), stop + 1):
         if front < nx:
-            _scale(b[front], inverse[front], damping[0], once[front % 3])
+            _copy(x[front], planes[front % 3], 0, 1)
         i = front - 1
-        if max(start - 1, 0) <= i < nx:
-            made = twice[i % 3]
-            _relax(i, once, b, inverse, level, weights, damping[1], made, 1)
-            if start <= i < stop:
-                _strip(made, x[i])
-        i = front - 2
         if not start <= i < stop:
             continue
-        _leave(i, twice, b, rate, level, weights, shares, total)
+        squares = np.zeros(nz, np.float32)
+        _leave(i, planes, b, rate, level, weights, shares, total, squares)
+        parts[i] = _sum(squares)
         if i % 2 == 1 or i == nx - 1:
             for j in range(out.shape[1]):
                 _pair(total[j], shares[2], out[i // 2, j])
@@ -344,7 +333,7 @@ def down(
 
 @_jit
 def average(begin: int, end: int, values: Any, shares: Any, out: Any) -> None:
-    """Write the mean over the nodes in each node of the next level; see :func:`_restrict`."""
+    """Write the mean over the nodes in each node of the next level; see :func:`leave`."""
     nx, ny, nz = values.shape
     sx, sy, sz = shares
     for coarse in range(begin, end):
@@ -361,33 +350,43 @@ def average(begin: int, end: int, values: Any, shares: Any, out: Any) -> None:
 
 
 @_bare
-def _prolong(i: int, coarse: Any, others: Any, nearness: Any, row: Any, x: Any, out: Any) -> None:
-    """Write plane i of ``x``, and of the interpolation between nodes of the next level, to ``out``.
+def _beside(i: int, n: int) -> int:
+    """Return the second of ``n`` nodes of the next level that node i of an axis lies between.
 
-    Node i of an axis lies in i // 2; the second one that it lies between is ``others[i]``, with
-    the weight ``nearness[i]``. ``out`` has a rim.
+    The first is i // 2. Beyond the ends it is that too, with no weight.
     """
-    ny, nz = x.shape[1:]
-    ox, oy, oz = others
+    return min(max(i // 2 - 1 + 2 * (i % 2), 0), n - 1)
+
+
+@_bare
+def _prolong(i: int, coarse: Any, nearness: Any, row: Any, x: Any, out: Any) -> None:
+    """Write plane i of the interpolation between nodes of the next level to ``out``, and add ``x``.
+
+    ``nearness``, (2, n) of each axis, are the weights of the two nodes that a node lies between.
+    ``out`` has a rim, and ``row`` a node of zero at both ends. ``x`` may have no planes.
+    """
+    ny, nz = out.shape[0] - 2, out.shape[1] - 2
     wx, wy, wz = nearness
-    n = coarse.shape[2]
+    n, own, other = coarse.shape[2], wz[0], wz[1]
+    lower, upper = coarse[i // 2], coarse[_beside(i, coarse.shape[0])]
+    u, v = _LIFT * wx[0, i], _LIFT * wx[1, i]
     for j in range(ny):
-        a, b = coarse[i // 2, j // 2], coarse[ox[i], j // 2]
-        c, d = coarse[i // 2, oy[j]], coarse[ox[i], oy[j]]
-        u, v = wx[i], wy[j]
-        wa, wb, wc, wd = (_ONE - u) * (_ONE - v), u * (_ONE - v), (_ONE - u) * v, u * v
+        first, second = j // 2, _beside(j, coarse.shape[1])
+        a, b, c, d = lower[first], upper[first], lower[second], upper[second]
+        wa, wb, wc, wd = u * wy[0, j], v * wy[0, j], u * wy[1, j], v * wy[1, j]
         for k in range(n):
-            row[k] = (wa * a[k] + wb * b[k]) + (wc * c[k] + wd * d[k])
-        e, o = x[i, j], out[j + 1, 1:]
-        inner = max(nz // 2 - 1, 1)
-        for k in range(1, inner):
+            row[k + 1] = (wa * a[k] + wb * b[k]) + (wc * c[k] + wd * d[k])
+        o = out[j + 1, 1:]
+        for k in range(nz // 2):
             m = 2 * k
-            o[m] = e[m] + ((_ONE - wz[m]) * row[k] + wz[m] * row[k - 1])
-            o[m + 1] = e[m + 1] + ((_ONE - wz[m + 1]) * row[k] + wz[m + 1] * row[k + 1])
-        for k in range(min(2, nz)):
-            o[k] = e[k] + ((_ONE - wz[k]) * row[k // 2] + wz[k] * row[oz[k]])
-        for k in range(2 * inner, nz):
-            o[k] = e[k] + ((_ONE - wz[k]) * row[k // 2] + wz[k] * row[oz[k]])
+            o[m] = own[m] * row[k + 1] + other[m] * row[k]
+            o[m + 1] = own[m + 1] * row[k + 1] + other[m + 1] * row[k + 2]
+        if nz % 2 == 1:
+            o[nz - 1] = own[nz - 1] * row[n]
+        if x.shape[0] > 0:
+            e = x[i, j]
+            for k in range(nz):
+                o[k] += e[k]
 
 
 @_jit
@@ -395,7 +394,6 @@ def up(
     begin: int,
     end: int,
     coarse: Any,
-    others: Any,
     nearness: Any,
     x: Any,
     b: Any,
@@ -407,25 +405,29 @@ def up(
     out: Any,
     parts: Any,
 ) -> None:
-    """Add what the next level has found to ``x``, and write two damped Jacobi steps to ``out``.
+    """Add what the next level has found to ``x``, and write damped Jacobi steps of that to ``out``.
 
-    They follow each other as in :func:`down`. The products of each plane of ``out`` with ``b`` and
-    with ``q`` go to ``parts``, (2, nx).
+    Without planes ``x`` is zero. A step follows the one before at a distance of one plane, while
+    that is in the nearest memory; those beside the own planes are made once more. The products of
+    each plane of ``out`` with ``b`` and with ``q`` go to ``parts``, (2, nx), if it has columns.
     """
-    nx, ny, nz = x.shape
+    nx, ny, nz = b.shape
     level = along, _unit(along), *_rows(along)
-    between = np.empty(coarse.shape[2], np.float32)
-    added, once = _rimmed(ny, nz), _rimmed(ny, nz)
-    for front in range(max(begin - 2, 0), end + 2):
+    between = np.zeros(coarse.shape[2] + 2, np.float32)
+    steps = len(damping)
+    planes = np.zeros((steps, 4, ny + 2, nz + 2), np.float32)  # of each as of :func:`_rimmed`
+    for front in range(max(begin - steps, 0), end + steps):
         if front < nx:
-            _prolong(front, coarse, others, nearness, between, x, added[front % 3])
-        for sweep in range(2):  # written once: it is what takes long to compile
-            i, beside = front - 1 - sweep, 1 - sweep
+            _prolong(front, coarse, nearness, between, x, planes[0, front % 3])
+        for step in range(steps):  # written once: it is what takes long to compile
+            i, beside = front - 1 - step, steps - 1 - step
             if max(begin - beside, 0) <= i < min(end + beside, nx):
-                given, made = (added, once[i % 3]) if sweep == 0 else (once, out[i])
-                _relax(i, given, b, inverse, level, weights, damping[sweep], made, beside)
-        if begin <= i < end:
-            first, second = np.zeros(nz), np.zeros(nz)
+                made = planes[step + 1, i % 3] if beside > 0 else out[i]
+                rim = min(beside, 1)
+                _relax(i, planes[step], b, inverse, level, weights, damping[step], made, rim)
+        i = front - steps
+        if begin <= i < end and parts.shape[1] > 0:
+            first, second = np.zeros(nz, np.float32), np.zeros(nz, np.float32)
             _multiply(out[i], b[i], q[i], first, second)
             parts[0, i], parts[1, i] = _sum(first), _sum(second)
 
@@ -455,11 +457,11 @@ def apply_direction(
         if front < nx:
             _combine(z[front], beta, p[front], planes[front % 3])
         if begin <= front < end:
-            _strip(planes[front % 3], new[front])
+            _copy(planes[front % 3], new[front], 1, 0)
         i = front - 1
         if not begin <= i < end:
             continue
-        total = np.zeros(nz)
+        total = np.zeros(nz, np.float32)
         _apply(i, planes, rate, level, weights, out, total)
         parts[i] = _sum(total)
 
@@ -471,7 +473,7 @@ def update_residual_planes(
     """Do ``x += alpha p``, ``r -= alpha q``; write ``r . r`` of each plane to ``parts``, (nx,)."""
     ny, nz = x.shape[1:]
     for i in range(begin, end):
-        total = np.zeros(nz)
+        total = np.zeros(nz, np.float32)
         for j in range(ny):
             solution, along, left, change = x[i, j], p[i, j], r[i, j], q[i, j]
             for k in range(nz):
@@ -492,10 +494,8 @@ def load(
     size: float,
     single: Any,
     r: Any,
-    x: Any,
-    p: Any,
 ) -> None:
-    """Write ``rate / stiffness`` to ``single`` and ``residual / size`` to ``r``; clear x and p.
+    """Write ``rate / stiffness`` to ``single`` and ``residual / size`` to ``r``.
 
     ``rate`` is in 1/s, ``residual`` in mM/s.
     """
@@ -503,23 +503,39 @@ def load(
     for i in range(begin, end):
         for j in range(ny):
             old, new, left, right = rate[i, j], single[i, j], residual[i, j], r[i, j]
-            solution, way = x[i, j], p[i, j]
             for k in range(nz):
                 new[k] = old[k] / stiffness
                 right[k] = left[k] / size
-                solution[k] = _NONE
-                way[k] = _NONE
 
 
 @_jit
-def add_correction(begin: int, end: int, c: Any, correction: Any, share: float, out: Any) -> None:
-    """Write ``c + share correction`` to ``out``; c and out are float64."""
-    ny, nz = c.shape[1:]
+def move_planes(
+    begin: int,
+    end: int,
+    c: Any,
+    correction: Any,
+    share: float,
+    law: Any,
+    there: Any,
+    residual: Any,
+    rate: Any,
+    parts: Any,
+) -> None:
+    """Set ``there`` to ``c + share correction``, and write its imbalance.
+
+    ``law`` and ``parts``, (5, nx), are those of :func:`.stencil.imbalance_of_planes`, which follows
+    at a distance of one plane. One more plane on either side is moved: others write the same to it.
+    """
+    nx, ny, nz = c.shape
+    moved = max(begin - 1, 0)
     for i in range(begin, end):
-        for j in range(ny):
-            old, way, new = c[i, j], correction[i, j], out[i, j]
-            for k in range(nz):
-                new[k] = old[k] + share * way[k]
+        for front in range(moved, min(i + 2, nx)):
+            for j in range(ny):
+                old, way, new = c[front, j], correction[front, j], there[front, j]
+                for k in range(nz):
+                    new[k] = old[k] + share * way[k]
+        moved = min(i + 2, nx)
+        imbalance_of_planes(i, i + 1, there, *law, residual, rate, parts, 1)
 
 
 @_jit
@@ -527,7 +543,7 @@ def dot_planes(begin: int, end: int, a: Any, b: Any, parts: Any) -> None:
     """Write ``a . b`` of each plane to ``parts``, (nx,)."""
     ny, nz = a.shape[1:]
     for i in range(begin, end):
-        total = np.zeros(nz)
+        total = np.zeros(nz, np.float32)
         for j in range(ny):
             u, v = a[i, j], b[i, j]
             for k in range(nz):

@@ -31,7 +31,7 @@ with the preconditioner S (-D L0 + d0)^-1 S: sine and cosine transforms invert t
 and the diagonal S = (w + d h^2 / 2 D)^-1/2 takes care of nodes where uptake is faster than
 diffusion, and of a coefficient w D that differs from place to place. On :data:`MULTIGRID_NODES`
 nodes and more, and where a layer of medium ends inside of the grid, which transforms know nothing
-of, a V-cycle of multigrid takes its place (:mod:`multicell.nutrient.multigrid`).
+of, V-cycles of multigrid take their place (:mod:`multicell.nutrient.multigrid`).
 """
 
 from __future__ import annotations
@@ -207,7 +207,7 @@ def _newton(
         if state.size <= target or not math.isfinite(state.size):
             return state, state.size <= target
         trial = trial or state.empty_copy()
-        goal = max(forcing, 0.3 * target / state.size)
+        goal = max(forcing, 0.8 * target / state.size)
         correction = linear.solve(state.rate, state.residual, state.size, goal)
         _search(state, trial, correction)
         forcing = min(FORCING, (trial.size / state.size) ** 2)
@@ -290,15 +290,18 @@ class _State:
 
     def move(self, c: FloatArray, correction: stencil.Floats, share: float) -> float:
         """Become ``c`` and a share of a correction; return the imbalance's product with that."""
-        if self.problem.team is None:
+        team = self.problem.team
+        if team is None:
             np.multiply(np.asarray(correction, dtype=np.float64), share, out=self.c)
             self.c += c
-        else:
-            from multicell.nutrient.multigrid_kernels import add_correction
+            self.evaluate()
+            return self.along(correction)
+        from multicell.nutrient.multigrid_kernels import move_planes
 
-            light = stencil.teams(self.problem.team, c.size)[1]
-            light.share(add_correction, len(c), c, correction, share, self.c)
-        self.evaluate()
+        own, parts = (self.c, self.residual, self.rate), np.empty((5, len(c)))
+        team.share(move_planes, len(c), c, correction, share, self.problem.law, *own, parts)
+        self.sums = None
+        self.take(parts.sum(axis=1).tolist())
         return self.along(correction)
 
     def take(self, sums: Sequence[float]) -> None:

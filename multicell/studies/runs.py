@@ -15,7 +15,7 @@ from multicell.results.observable import OWN_OBSERVABLES, find_own
 from multicell.scene.scene import Scene
 from multicell.schema import Tables, specs
 
-MODEL_VERSION: Final = 11
+MODEL_VERSION: Final = 12
 """To be raised by whoever changes the numbers that a scene gives.
 
 Runs that were made with another number are computed again. ``tests/studies/test_model_version.py``

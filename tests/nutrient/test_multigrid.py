@@ -121,6 +121,25 @@ def test_a_cycle_gains_a_digit_on_any_number_of_nodes(ratio, sides):
         assert solver.cg <= (6 if ratio is None else 10)
 
 
+@pytest.mark.parametrize(("most", "fast"), [(10.0, True), (1e6, False)])
+def test_where_cycles_are_slow_conjugate_gradients_take_them(most, fast, monkeypatch):
+    conjugate, taken = MultigridSolver._conjugate, []
+    monkeypatch.setattr(
+        MultigridSolver, "_conjugate", lambda *given: taken.append(1) or conjugate(*given)
+    )
+    op = operator((20, 19, 18))
+    few = np.random.default_rng(2).random(op.shape) < 0.01  # means over nodes say little of these
+    rate, residual = np.where(few, most, 0.0), np.ones(op.shape)
+    solver, image = MultigridSolver(op, Team()), np.empty(op.shape)
+    for solves in (1, 2):
+        size = float(np.linalg.norm(residual))
+        found = solver.solve(rate, residual, size, 1e-4)
+        assert len(taken) == (0 if fast else solves)
+        stencil.apply_operator(found, rate, op.stiffness, op.ghost, op.weights, image)
+        assert np.linalg.norm(residual - image) <= 2e-4 * size
+    assert solver.cg <= (10 if fast else 30)
+
+
 @pytest.mark.parametrize(
     ("half", "shape", "ratio"),
     [(0.1, (24, 25, 27), 2.5), (0.005, (60, 41), None), (0.005, (24, 25, 27), None),

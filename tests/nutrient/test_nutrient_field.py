@@ -120,7 +120,7 @@ def test_a_new_grid_starts_from_the_old_field():
     position, capacity = ball(150.0)
     cold, warm = oxygen(), oxygen()
     warm.solve(position, capacity)
-    larger = 1.1 * position
+    larger = 1.02 * position
     reports = cold.solve(larger, capacity), warm.solve(larger, capacity)
     assert warm.layout.box == cold.layout.box
     assert reports[1].cg < reports[0].cg

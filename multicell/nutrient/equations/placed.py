@@ -266,14 +266,17 @@ class PlacedSubstance:
 
         - ``level``, float, mM: concentration of the medium at the end
         """
-        supply, linear = self.supply(level), self.linear
+        linear, operator = self.linear, self.at(level)
+        given = self.sink, self.substance.half_saturation, start
         if before is not None:
-            supply, linear = before / dt + supply, linear + 1.0 / dt
-        operator, given = self.at(level), (self.sink, self.substance.half_saturation, start)
-        if before is None and isinstance(operator, Diffusion):
-            own = None if self._production == 0.0 == self.substance.perfusion * level else supply
-            return operator.solve(*given, linear=linear, supply=own, tolerance=self.tolerance)
-        return operator.solve(*given, linear=linear, supply=supply)
+            supply, linear = before / dt + self.supply(level), linear + 1.0 / dt
+            return operator.solve(*given, linear=linear, supply=supply)
+        # to add zeros to many nodes takes as long as a loop
+        none = self._production == 0.0 == self.substance.perfusion * level
+        gained = None if none else self.supply(level)
+        if isinstance(operator, Diffusion):
+            return operator.solve(*given, linear=linear, supply=gained, tolerance=self.tolerance)
+        return operator.solve(*given, linear=linear, supply=gained)
 
     def flows(self, c: FloatArray, level: float, made: FloatArray | None = None) -> SolveReport:
         """Return the exchange of a state (mM) with sides, cells, reactions (``made``, mM/s)."""
