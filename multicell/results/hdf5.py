@@ -129,7 +129,7 @@ _LIBVER: Final = ("v110", "v110")  # the first in which all of a file's structur
 _BATCH: Final = 1 << 23  # bytes that are collected before they are written
 _AHEAD: Final = 1 << 19  # bytes of a data set that are read back at once
 _LEVEL: Final = 4  # of gzip; 1 would take 15 % less time and 1 % more room
-_COMPACT: Final = 4096  # bytes of a data set that are part of its header
+_COMPACT: Final = 1024  # bytes of a data set that are part of its header
 
 
 def write_hdf5(
