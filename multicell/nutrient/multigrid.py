@@ -108,7 +108,7 @@ class _Level:
     def leave(self, coarse: _Level) -> float:
         """Give what ``x`` leaves of ``b`` to the next level; return its norm."""
         own = self.b, self.x, self.rate, self.along, self.weights, self.shares
-        self.team.share(kernels.leave, coarse.shape[0], *own, coarse.b, self.parts[0])
+        self.team.share(kernels.restrict_left, coarse.shape[0], *own, coarse.b, self.parts[0])
         return math.sqrt(float(self.parts[0].sum()))
 
     def average(self, values: Float32Array, out: Float32Array) -> None:

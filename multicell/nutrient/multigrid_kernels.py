@@ -294,7 +294,7 @@ def invert_diagonal(
 
 
 @_jit
-def leave(
+def restrict_left(
     begin: int,
     end: int,
     b: Any,
@@ -333,7 +333,7 @@ def leave(
 
 @_jit
 def average(begin: int, end: int, values: Any, shares: Any, out: Any) -> None:
-    """Write the mean over the nodes in each node of the next level; see :func:`leave`."""
+    """Write the mean over the nodes in each node of the next level; see :func:`restrict_left`."""
     nx, ny, nz = values.shape
     sx, sy, sz = shares
     for coarse in range(begin, end):
