@@ -13,7 +13,7 @@ PROGRAMS = [path for folder in FOLDERS for path in sorted((ROOT / folder).rglob(
 
 
 def missing_names(text):
-    """Return what a program takes from modules of the package that they do not have."""
+    """Return names of the package in a program that its modules lack."""
     modules, missing = {}, []
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
