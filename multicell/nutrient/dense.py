@@ -186,6 +186,8 @@ def _newton(
         a, b, slope, part = here.reshape(c.size), there.reshape(c.size), 0.0, 1.0
         for n in range(c.size):
             slope += left[n] * x[n]
+        if not slope > 0.0:
+            break
         for _ in range(backtracks):  # see :func:`multicell.nutrient.steady._search`
             for n in range(c.size):
                 b[n] = x[n] * part + a[n]

@@ -653,7 +653,7 @@ class FieldSystem:
         """Return the uptake of a field by all cells now, amol/s."""
         capacity = self._capacity(name, cells, self.concentrations)
         field, group = self.fields[name], next(x for x in self.groups if name in x.names)
-        if field.layout is group.layout and group.has_met(cells, capacity):
+        if group.has_met(cells, capacity) and field.layout is group.layout:
             rates = field.uptake_reached(group.position, capacity, group.radius)
         else:
             rates = field.uptake(cells.position, capacity, cells.radius)

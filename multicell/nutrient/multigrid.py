@@ -7,7 +7,7 @@ nodes uptake is fast, so that each leaves a fifteenth of the imbalance over.
 A node of the next coarser level is made of two along each axis, of one at the end of an axis with
 an odd number: a grid of boxes of unequal width, on which finite volumes give the operator again
 (so any number of nodes will do). Residuals and rates are averaged, corrections interpolated
-linearly and made larger by 6 %. The smoother comes after them alone: the Chebyshev polynomial of
+linearly. The smoother comes after them alone: the Chebyshev polynomial of
 fourth degree in the Jacobi-scaled operator for the upper 85 % of its spectrum, four damped Jacobi
 steps in one pass over memory. The last level is one node. (Briggs, Henson & McCormick 2000, A
 Multigrid Tutorial; Adams et al. 2003, J. Comput. Phys. 188:593, on polynomial smoothers.)
@@ -283,7 +283,8 @@ class MultigridSolver:
             level.share(kernels.apply_direction, *way, level.spare, q, parts)
             p, level.spare = level.spare, p  # the cycle's solution is elsewhere
             curvature = float(parts.sum())
-            if not curvature > 0.0 or rho == 0.0:  # single precision has no smaller numbers
+            # single precision has no smaller numbers, or the cycle is none that CG can use
+            if not (curvature > 0.0 and rho > 0.0):
                 break
             alpha = rho / curvature
             level.share_light(kernels.update_residual_planes, np.float32(alpha), x, p, r, q, parts)

@@ -30,8 +30,6 @@ _bare = typed(**UNCOUNTED, forceinline=True, nogil=True)
 
 _NONE = np.float32(0.0)
 _ONE = np.float32(1.0)
-_LIFT = np.float32(1.06)
-"""Factor of corrections: means and interpolation make them a little too small."""
 
 
 @_bare
@@ -369,7 +367,7 @@ def _prolong(i: int, coarse: Any, nearness: Any, row: Any, x: Any, out: Any) -> 
     wx, wy, wz = nearness
     n, own, other = coarse.shape[2], wz[0], wz[1]
     lower, upper = coarse[i // 2], coarse[_beside(i, coarse.shape[0])]
-    u, v = _LIFT * wx[0, i], _LIFT * wx[1, i]
+    u, v = wx[0, i], wx[1, i]
     for j in range(ny):
         first, second = j // 2, _beside(j, coarse.shape[1])
         a, b, c, d = lower[first], upper[first], lower[second], upper[second]

@@ -154,11 +154,16 @@ def solve_steady(
             return _solve(problem, start, _solver(operator))
     from multicell.nutrient.multigrid import MultigridSolver
 
-    if few:  # with imbalances in double precision, which have no least size to speak of
-        return _solve(problem, start, MultigridSolver(operator, Team()))
-    with Team(max(1, min(operator.threads, nodes // stencil.PART))) as team:
-        problem = _Problem(operator, sink, half_saturation, linear, supply, team, tolerance)
-        return _solve(problem, start, MultigridSolver(operator, team))
+    try:
+        if few:  # with imbalances in double precision, which have no least size to speak of
+            return _solve(problem, start, MultigridSolver(operator, Team()))
+        with Team(max(1, min(operator.threads, nodes // stencil.PART))) as team:
+            problem = _Problem(operator, sink, half_saturation, linear, supply, team, tolerance)
+            return _solve(problem, start, MultigridSolver(operator, team))
+    except NutrientFailed:
+        # what single precision loses of small rates between walls transforms have
+        problem = _Problem(operator, sink, half_saturation, linear, supply, None)
+        return _solve(problem, start, _solver(operator))
 
 
 def _solver(operator: Diffusion) -> Solver:
@@ -170,7 +175,7 @@ def _solve(problem: _Problem, start: FloatArray, solver: Solver) -> tuple[FloatA
     if not np.count_nonzero(problem.source):
         # nothing comes in: what iterations from elsewhere would leave is rounding, of either sign
         start = np.zeros_like(start, dtype=np.float64)
-    first = np.array(start, dtype=np.float64)
+    first = np.array(start, dtype=np.float64, order="C")
     problem.balance_ends(first)
     state, done = _newton(problem, first, problem.tolerance, solver)
     if not done and np.isfinite(state.size):
@@ -207,9 +212,12 @@ def _newton(
         if state.size <= target or not math.isfinite(state.size):
             return state, state.size <= target
         trial = trial or state.empty_copy()
-        goal = max(forcing, 0.8 * target / state.size)
+        # what single precision leaves over is known less well, and each step costs more
+        part = 0.3 if problem.team is None else 0.8
+        goal = max(forcing, part * target / state.size)
         correction = linear.solve(state.rate, state.residual, state.size, goal)
-        _search(state, trial, correction)
+        if not _search(state, trial, correction):
+            return state, False
         forcing = min(FORCING, (trial.size / state.size) ** 2)
         state, trial = trial, state
     return state, state.size <= state.target(tolerance)
@@ -245,6 +253,7 @@ class _Problem:
     def __post_init__(self) -> None:
         faces = self.operator.brought()
         self.source = faces if self.supply is None else faces + self.supply
+        self.sink, self.source = map(np.ascontiguousarray, (self.sink, self.source))
         op = self.operator
         own = self.sink, self.source, self.half, op.stiffness, self.linear
         self.law: _Law = *own, op.ghost, op.weights, op.exchange, op.level
@@ -379,20 +388,24 @@ class _State:
         return SolveReport(linear.newton, linear.cg, v * left, inward - outward, v * taken, outward)
 
 
-def _search(state: _State, trial: _State, correction: stencil.Floats) -> None:
+def _search(state: _State, trial: _State, correction: stencil.Floats) -> bool:
     """Set ``trial`` to a point along the correction where the convex energy is lower.
 
-    F is the gradient of a convex energy, and the correction of a conjugate-gradient solve always
-    points downhill. The slope along it may at most turn round to nine tenths; it does at the
-    first step into a starved core, where the tangent of the saturated law is far from the law.
+    F is the gradient of a convex energy, and the correction of a conjugate-gradient solve points
+    downhill unless rounding is all that it has; returns whether it does. The slope along it may at
+    most turn round to nine tenths; it does at the first step into a starved core, where the tangent
+    of the saturated law is far from the law.
     """
     slope = state.along(correction)
+    if not slope > 0.0:
+        return False
     share = 1.0
     for _ in range(MAX_BACKTRACKS):
         there = trial.move(state.c, correction, share)
         if not there < -0.9 * slope:
-            return
+            break
         share *= max(slope / (slope - there), 0.25)
+    return True
 
 
 @final

@@ -251,3 +251,45 @@ def test_the_imbalance_by_planes_is_that_of_all_nodes():
     np.testing.assert_allclose(whole, planes, rtol=1e-13)
     for one, other in zip(arrays, others, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_small_rates_between_walls_are_solved_where_single_precision_loses_them():
+    op = operator((38, 38, 38), WALL)
+    assert op.shape == (38, 38, 38)
+    assert np.prod(op.shape) > steady.MULTIGRID_NODES
+    nothing, supply = np.zeros(op.shape), np.full(op.shape, 1e-6)
+    for rate in (1e-6, 3e-7, 1e-7):
+        start = np.full(op.shape, 0.1)
+        c, report = solve_steady(op, nothing, 1e-4, start, linear=rate, supply=supply)
+        assert c == pytest.approx(1e-6 / rate, rel=1e-6)
+        assert report.inflow == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_plane_with_one_open_side_and_little_uptake_is_solved():
+    # a cycle from zero has no positive product with its right-hand side there
+    sides = dict.fromkeys(FACES[:4], WALL) | {"x+": VALUE}
+    op, rng = operator((366, 201), sides), np.random.default_rng(11)
+    sink, start = 1e-9 * rng.random(op.shape), 0.07 * rng.random(op.shape)
+    c, report = solve_steady(op, sink, 1e-3, start)
+    assert report.inflow == pytest.approx(report.uptake, rel=1e-6)
+    assert 0.0 < c.min() <= c.max() < 0.0701
+
+
+def test_corrections_that_point_uphill_hand_over_to_transforms(monkeypatch):
+    op = operator((38, 38, 38))
+    sink = ball(op)
+    expected, _ = solve_steady(op, sink, 1e-3, np.full(op.shape, 0.05))
+    solve = MultigridSolver.solve
+    monkeypatch.setattr(MultigridSolver, "solve", lambda self, *given: -solve(self, *given))
+    found, report = solve_steady(op, sink, 1e-3, np.full(op.shape, 0.05))
+    assert found == pytest.approx(expected, abs=1e-9)
+    assert report.inflow == pytest.approx(report.uptake, rel=1e-6)
+
+
+def test_any_layout_of_arrays_is_taken():
+    op = operator((9, 8, 7))
+    sink, start = ball(op), np.full(op.shape, 0.05)
+    expected, _ = solve_steady(op, sink, 1e-3, start)
+    for other in (np.asfortranarray(sink), np.repeat(sink, 2, axis=2)[:, :, ::2]):
+        for first in (np.asfortranarray(start), np.broadcast_to(0.05, op.shape)):
+            assert np.array_equal(solve_steady(op, other, 1e-3, first)[0], expected)

@@ -250,8 +250,10 @@ HELD = {
     "Simulation": {"_state", "_draft"},
     "Machinery": {"wall"},
     "Mover": set(),
-    # all but courses, which belong to a step, and the time stand in FieldsState
+    # all but courses, which belong to a step, the time and the tissue, which is made anew for other
+    # cells, stand in FieldsState
     "FieldSystem": {
+        "_tissue",
         "ledger",
         "concentrations",
         "reports",

@@ -47,8 +47,8 @@ NUMBERS = {
         "sorting-signal": {
             "cells": 40,
             "volume": 16491.355589038554,
-            "distance": 90.69614673398665,
-            "factor": 2.3737121474676553e-07,
+            "distance": 90.69607040771024,
+            "factor": 2.3737148191840975e-07,
         },
         "doublet": {
             "cells": 2,
@@ -61,8 +61,8 @@ NUMBERS = {
 AVX512 = {
     12: {
         "sorting-signal": {
-            "distance": 90.69647544885731,
-            "factor": 2.3737006336195148e-07,
+            "distance": 90.6964919026131,
+            "factor": 2.3737000593342047e-07,
         }
     }
 }
