@@ -3,14 +3,18 @@
 import errno
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import threading
 
 import h5py
 import numpy as np
 import pytest
 
 import multicell as mc
+from multicell.compiling import threads as compiling_threads
+from multicell.compiling.threads import Team
 from multicell.results import hdf5
 from multicell.results.hdf5 import File
 
@@ -85,6 +89,130 @@ def test_a_process_forked_after_a_run_of_threads_comes_to_the_same_bits(layer):
 @pytest.mark.parametrize("layer", ["default", "workqueue"])
 def test_two_runs_in_two_threads_come_to_the_same_bits(layer):
     assert _printed(THREADS, NUMBA_THREADING_LAYER=layer) == ["True"]
+
+
+def _met(team):
+    """Return the threads that share a loop of a team, each of which waits for all others."""
+    barrier, found = threading.Barrier(team.threads, timeout=60.0), set()
+
+    def meet(begin, end):
+        assert end == begin + 1
+        found.add(threading.current_thread())
+        barrier.wait()
+
+    team.share(meet, team.threads)
+    assert len(found) == team.threads
+    return found - {threading.current_thread()}
+
+
+@pytest.fixture
+def none_resting(monkeypatch):
+    monkeypatch.setattr(compiling_threads, "_RESTING", {})
+
+
+@pytest.mark.usefixtures("none_resting")
+def test_teams_of_any_sizes_leave_the_threads_of_the_largest():
+    met = set()
+    for number in (*range(2, 10), *range(9, 1, -1)):
+        with Team(number) as team:
+            met |= _met(team)
+    alive = {thread for thread in met if thread.is_alive()}
+    assert len(alive) == 8
+    with Team(5) as team:
+        assert _met(team) <= alive
+
+
+@pytest.mark.usefixtures("none_resting")
+@pytest.mark.parametrize("sizes", [(4, 3), (3, 4), (3, 3)])
+def test_a_team_within_another_has_threads_of_its_own_of_which_the_most_are_kept(sizes):
+    for _ in range(2):
+        with Team(sizes[0]) as outer:
+            mine = _met(outer)
+            with Team(sizes[1]) as inner:
+                others = _met(inner)
+                assert not mine & others
+                assert not _met(outer) & _met(inner)
+    ((most, executor),) = compiling_threads._RESTING.values()
+    assert most == max(sizes)
+    assert {thread for thread in mine | others if thread.is_alive()} <= executor._threads
+
+
+@pytest.mark.usefixtures("none_resting")
+def test_teams_in_many_threads_at_once_never_share_and_leave_those_of_one():
+    met, held, shared, rounds = set(), set(), [], 20
+    lock = threading.Lock()
+
+    def work(seed):
+        for number in np.random.default_rng(seed).integers(2, 5, rounds):
+            with Team(int(number)) as team:
+                mine = _met(team)
+                with lock:
+                    shared.append(bool(mine & held))
+                    held.update(mine)
+                    met.update(mine)
+                _met(team)
+                with lock:
+                    held.difference_update(mine)
+
+    workers = [threading.Thread(target=work, args=(seed,)) for seed in range(4)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    assert shared == [False] * (4 * rounds)
+    resting = compiling_threads._RESTING
+    assert list(resting) == [os.getpid()]
+    for thread in met - set(resting[os.getpid()][1]._threads):
+        thread.join(timeout=60.0)  # those without a team that nobody stopped end by themselves
+    assert sum(thread.is_alive() for thread in met) <= 3
+
+
+@pytest.mark.usefixtures("none_resting")
+def test_an_error_ends_the_threads_of_its_team():
+    met = set()
+
+    def fail():
+        with Team(3) as team:
+            met.update(_met(team))
+            team.share(lambda begin, end: 1 // begin, 3)
+
+    with pytest.raises(ZeroDivisionError):
+        fail()
+    assert len(met) == 2
+    assert not any(thread.is_alive() for thread in met)
+    with Team(3) as team:
+        assert not _met(team) & met
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+@pytest.mark.usefixtures("none_resting")
+@pytest.mark.parametrize("within", [True, False])
+def test_a_process_forked_within_a_team_or_after_it_has_teams_of_its_own(within):
+    parent = os.getpid()
+
+    def forked():
+        child = os.fork()
+        if child == 0:  # ends if it hangs
+            signal.signal(signal.SIGALRM, signal.SIG_DFL)
+            signal.alarm(30)
+        return child
+
+    try:
+        with Team(3) as team:
+            met = _met(team)
+            child = forked() if within else None
+        child = forked() if child is None else child
+        if child == 0:
+            for number in (3, 2, 4):
+                with Team(number) as own:
+                    assert not _met(own) & met
+            os._exit(0)
+    finally:
+        if os.getpid() != parent:
+            os._exit(1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    with Team(3) as team:
+        assert _met(team) == met
 
 
 HOLDS = """

@@ -116,22 +116,22 @@ def two_drivers(body: Callable[..., Any]) -> tuple[Any, Any]:
     return serial(body), shared(twin)
 
 
-_RESTING: Final[list[tuple[int, int, ThreadPoolExecutor]]] = []
-"""Threads without a team, by process and by how many they are with the caller."""
+_RESTING: Final[dict[int, tuple[int, ThreadPoolExecutor]]] = {}
+"""Threads without a team, and how many they are with a caller, by process: the most so far.
+
+A dictionary's single operations are whole, so that no two teams come to have the same threads.
+"""
 
 
-def _taken(threads: int) -> ThreadPoolExecutor:
-    """Return threads that rest, or new ones, for a team of so many."""
-    for found in reversed(_RESTING):
-        if found[:2] == (os.getpid(), threads):
-            try:
-                _RESTING.remove(found)
-            except ValueError:  # another team was faster
-                continue
-            return found[2]
+def _taken(threads: int) -> tuple[int, ThreadPoolExecutor]:
+    """Return threads that rest, or new ones in place of too few, for a team of so many."""
     from concurrent.futures import ThreadPoolExecutor
 
-    return ThreadPoolExecutor(threads - 1)
+    if (found := _RESTING.pop(os.getpid(), None)) is not None:
+        if found[0] >= threads:
+            return found
+        found[1].shutdown()
+    return threads, ThreadPoolExecutor(threads - 1)
 
 
 _WORTH = 20_000  # least number of rows for which a thread is woken
@@ -159,7 +159,7 @@ class Team:
         self._process = os.getpid()  # one that is forked from it has none of the threads
         self._others: ThreadPoolExecutor | None = None
         if threads > 1:
-            self._others = _taken(threads)
+            self._most, self._others = _taken(threads)
 
     def __enter__(self) -> Self:
         return self
@@ -170,12 +170,16 @@ class Team:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if self._others is None:
+        if self._others is None or os.getpid() != self._process:
             return
-        if error is None:
-            _RESTING.append((os.getpid(), self.threads, self._others))
-        else:  # some may still be at work
+        if error is not None:  # some may still be at work
             self._others.shutdown()
+            return
+        rest, found = (self._most, self._others), _RESTING.pop(self._process, None)
+        if found is not None:  # those of a team within this one, or beside it
+            fewer, rest = sorted((found, rest), key=lambda threads: threads[0])
+            fewer[1].shutdown()
+        _RESTING[self._process] = rest  # threads that another team just put there end as unused
 
     def at_most(self, threads: int) -> Team:
         """Return the same threads, but no more than so many of them, for less work."""
