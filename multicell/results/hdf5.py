@@ -33,7 +33,9 @@ from multicell.results.layout import (
     FORMAT_WITHOUT_TABLES,
     FRAMES_FORMAT,
     DatasetKind,
-    column_place,
+    Places,
+    column_places,
+    fits_table,
     frame_rows,
     layout,
     of_rows,
@@ -245,11 +247,15 @@ def _fill(
     for frame in frames:
         log.add(*frame)
     log.flush(last=True)
-    if rows := {f"history/{name}": np.asarray(history[name], "<f8") for name in sorted(history)}:
-        units = {path: of_rows("<f8", known_unit(path.partition("/")[2])) for path in rows}
-        ((path, kind, table),) = _tables(units, rows)
-        digest = np.uint32(array_digest({name: history[name] for name in sorted(history)}))
-        _attach(_create(target, path, kind, table), "digest", digest)
+    names = sorted(history)
+    rows = {f"history/{name}": np.asarray(history[name], "<f8") for name in names}
+    units = {f"history/{name}": of_rows("<f8", known_unit(name)) for name in names}
+    if not fits_table(names):
+        h5py.h5g.create(target.id, b"history")
+    for made in _tables(units, rows, column_places(rows, history=fits_table(names))):
+        _create(target, *made)
+    digest = np.uint32(array_digest({name: history[name] for name in names}))
+    _attach(h5py.h5o.open(target.id, b"history"), "digest", digest)
     shared = {path: np.concatenate(pieces) for path, pieces in log.shared.items()}
     _describe(
         target,
@@ -287,14 +293,14 @@ _unit = cache(partial(np.array, dtype=_TEXT))
 
 
 def _tables(
-    sets: Mapping[str, DatasetKind], columns: Mapping[str, NDArray[Any]]
+    sets: Mapping[str, DatasetKind], columns: Mapping[str, NDArray[Any]], places: Places
 ) -> Iterator[tuple[str, DatasetKind, NDArray[Any]]]:
     """Yield path, kind and rows of the data sets that hold columns."""
-    stored = stored_sets({path: sets[path] for path in columns})
+    stored = stored_sets({path: sets[path] for path in columns}, places)
     tables = {path: np.empty(0, kind.dtype) for path, kind in stored.items() if path not in columns}
     for path, rows in columns.items():
-        table, field = column_place(path)
-        if field:
+        if path in places:
+            table, field = places[path]
             if len(tables[table]) != len(rows):
                 tables[table] = np.empty(len(rows), stored[table].dtype)
             tables[table][field] = rows
@@ -387,7 +393,7 @@ class _Log:
         """Hand what was collected to HDF5; behind the ``last`` of it comes no more."""
         begun = [path for path in self._sets if self._pieces[path]]
         columns = {path: np.concatenate(self._pieces[path]) for path in begun}
-        for path, kind, rows in _tables(self._sets, columns):
+        for path, kind, rows in _tables(self._sets, columns, column_places(columns)):
             if path in self._made:
                 column = self._target[path]
                 column.resize(len(column) + len(rows), axis=0)
@@ -619,7 +625,7 @@ class _Columns:
 
     HDF5 takes as long to find a few rows as to read many, and h5py's objects longer than either.
 
-    - ``tables``: whether the file has tables, which are read as a whole
+    - ``places``: where columns of tables are; a table is read as a whole
     - ``ahead``: bytes of a data set that are read at once
     - ``sets``: kinds of data sets by path, of which only the types are asked for
     - ``known``: columns that need not be read
@@ -628,12 +634,12 @@ class _Columns:
     def __init__(
         self,
         file: Any,
-        tables: bool,
+        places: Places,
         ahead: int = _AHEAD,
         sets: Mapping[str, DatasetKind] = MappingProxyType({}),
         known: Mapping[str, NDArray[Any]] = MappingProxyType({}),
     ) -> None:
-        self._file, self._tables, self._ahead, self._sets = file.id, tables, ahead, sets
+        self._file, self._places, self._ahead, self._sets = file.id, places, ahead, sets
         self._known: dict[str, _Column | NDArray[Any]] = {**known}
         self._there: dict[str, bool] = {}
 
@@ -644,12 +650,11 @@ class _Columns:
 
     def __getitem__(self, path: str) -> _Column | NDArray[Any]:
         found = self._known.get(path)
-        if found is None and self._tables and column_place(path)[1]:
-            table = column_place(path)[0]
-            rows = self.whole(table)
-            for field in rows.dtype.names or ():
-                column = f"{field}/offset" if table == "offsets" else f"{table}/{field}"
-                self._known[column] = np.ascontiguousarray(rows[field])
+        if found is None and path in self._places:
+            rows = self.whole(self._places[path][0])
+            for column, (table, field) in self._places.items():
+                if table == self._places[path][0]:
+                    self._known[column] = np.ascontiguousarray(rows[field])
             found = self._known[path]
         if found is None:
             rows = h5py.h5d.open(self._file, path.encode())
@@ -741,25 +746,27 @@ class File:
     def __init__(self, path: Path, *, own: bool = False) -> None:
         self.path, self._image = path, _unmarked(path)
         with _open_file(path, self._image) as file:
-            self._tables = own or _check_format(path, file)
+            tables = own or _check_format(path, file)
             if not own:
                 _check_links(path, file, 2)
             self.nutrients = tuple(sorted(_names(h5py.h5g.open(file.id, b"fields"))))
-            self.columns: tuple[str, ...] = ()
-            if file.id.links.exists(b"history"):
-                history = h5py.h5o.open(file.id, b"history")
-                self.columns = _names(history.get_type() if self._tables else history)
+            history = h5py.h5o.open(file.id, b"history")
+            apart = isinstance(history, h5py.h5g.GroupID)
+            self.columns = _names(history if apart else history.get_type())
             known = layout(self.nutrients)
             sets = {f"history/{name}": of_rows("<f8") for name in self.columns}
             sets |= {"scene": of_rows("|u1"), **known}
-            sets = stored_sets(sets) if self._tables else sets
+            self._places = column_places(sets, history=not apart) if tables else {}
+            sets = stored_sets(sets, self._places)
             lengths = {} if own else _check_sets(path, file, sets)
-            columns = _Columns(file, self._tables, sets=sets)
+            columns = _Columns(file, self._places, sets=sets)
             shared = {name: columns.whole(name) for name in ("scene", *_shared(known))}
             if array_digest(shared) != int(_attribute(file, "digest")):
                 problem = "its scene, index or lineage is not what was written"
                 raise _damage(path, f"{problem}. Nothing in it can be read")
             self.rows = len(columns[f"history/{self.columns[0]}"]) if self.columns else 0
+            if not self.rows:  # nobody will ask for them
+                self._history(file, columns)
             for name, ends in shared.items():
                 if (
                     lengths
@@ -785,11 +792,11 @@ class File:
     def history(self) -> dict[str, NDArray[np.float64]]:
         """Return the history by column, (m,) each."""
         with self._again() as file:
-            return self._history(file, _Columns(file, self._tables))
+            return self._history(file, _Columns(file, self._places))
 
     def _history(self, file: Any, columns: _Columns) -> dict[str, NDArray[np.float64]]:
         found = {name: columns.whole(f"history/{name}") for name in self.columns}
-        if found and array_digest(found) != int(_attribute(file["history"], "digest")):
+        if array_digest(found) != int(_attribute(file["history"], "digest")):
             problem = f"the history in '{self.path}' is not what was written"
             raise OutputError(problem, damaged=True)
         return found
@@ -800,12 +807,12 @@ class File:
             return {path: array.copy() for path, array in frames[place].items()}
         with self._again() as file:
             known = {"frames/time": self.times, "frames/step": self.steps}
-            return self._frame(_Columns(file, self._tables, ahead=0, known=known), place)
+            return self._frame(_Columns(file, self._places, ahead=0, known=known), place)
 
     def check(self) -> None:
         """Read all of it once; raises OutputError if something is not what was written."""
         with self._again() as file:
-            self._all(file, _Columns(file, self._tables))
+            self._all(file, _Columns(file, self._places))
 
     def take_frames(self) -> list[Arrays]:
         """Return the frames as they were read back, and forget them; none if they are many."""

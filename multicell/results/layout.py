@@ -2,7 +2,7 @@
 
 Each array of a frame is a column, under the path that it has in a journal. What grows with cells,
 contacts and nodes is a data set of its own; other columns of as many rows share a table
-(:func:`column_place`), since HDF5 takes as long to create or open a small data set as to write or
+(:func:`column_places`), since HDF5 takes as long to create or open a small data set as to write or
 read ten thousand numbers. Only the fields are coded (:mod:`multicell.results.coding`).
 """
 
@@ -27,6 +27,8 @@ FORMAT_WITHOUT_TABLES: Final = 5  # in which every column is a data set; it is r
 _LONG: Final = 8192  # rows in a chunk of what grows with cells and nodes: 64 kB for a number each
 _MIDDLE: Final = 4096  # ... of logs and texts
 _SHORT: Final = 256  # ... of what has one row for each frame
+_TABLE: Final = 30_000  # bytes of a table's type; HDF5 has room for 64 kB
+_FIELD: Final = 40  # ... of a field at most, beside its name
 
 
 @final
@@ -101,27 +103,52 @@ def of_rows(dtype: str, unit: str = "") -> DatasetKind:
     return DatasetKind(dtype, None, "", unit, _MIDDLE)
 
 
-def column_place(path: str) -> tuple[str, str]:
-    """Return the path of a column's table and its field there; of other columns ``""`` for that."""
-    group, _, name = path.rpartition("/")
-    if name == "offset":
-        return "offsets", group
-    alone = group not in ("frames", "history") and not group.startswith("lineage/")
-    return (path, "") if alone else (group, name)
+def fits_table(names: Iterable[str]) -> bool:
+    """Return whether a table can have these fields: some, and no more than HDF5 has room for."""
+    return 0 < sum(len(name.encode()) + _FIELD for name in names) <= _TABLE
 
 
-def stored_sets(sets: Mapping[str, DatasetKind]) -> dict[str, DatasetKind]:
-    """Return the kinds of data sets that hold columns of some kinds, by path."""
-    return dict(_stored_sets(tuple(sets.items())))
+Places = Mapping[str, tuple[str, str]]  # path of a column -> path of its table, field there
+
+
+def column_places(paths: Iterable[str], *, history: bool = True) -> Places:
+    """Return where the columns are that share a table, by path.
+
+    - ``history``: whether the history is a table; it is a group of columns where
+      :func:`fits_table` says no
+    """
+    return _column_places(tuple(paths), history)
 
 
 @lru_cache(maxsize=64)
-def _stored_sets(sets: tuple[tuple[str, DatasetKind], ...]) -> Mapping[str, DatasetKind]:
+def _column_places(paths: tuple[str, ...], history: bool) -> Places:
+    places: dict[str, tuple[str, str]] = {}
+    for path in paths:
+        group, _, name = path.rpartition("/")
+        if group == "history":  # an observable can have any name
+            places |= {path: (group, name)} if history else {}
+        elif name == "offset":
+            places[path] = "offsets", group
+        elif group == "frames" or group.startswith("lineage/"):
+            places[path] = group, name
+    return MappingProxyType(places)
+
+
+def stored_sets(sets: Mapping[str, DatasetKind], places: Places) -> dict[str, DatasetKind]:
+    """Return the kinds of data sets that hold columns of some kinds, by path."""
+    return dict(_stored_sets(tuple(sets.items()), tuple(places.items())))
+
+
+@lru_cache(maxsize=64)
+def _stored_sets(
+    sets: tuple[tuple[str, DatasetKind], ...], places: tuple[tuple[str, tuple[str, str]], ...]
+) -> Mapping[str, DatasetKind]:
     found: dict[str, DatasetKind] = {}
     tables: dict[str, list[tuple[str, DatasetKind]]] = {}
+    shared = dict(places)
     for path, kind in sets:
-        table, field = column_place(path)
-        if field:
+        if path in shared:
+            table, field = shared[path]
             tables.setdefault(table, []).append((field, kind))
         else:
             found[path] = kind

@@ -27,7 +27,8 @@ Layout of ``frames.h5`` for k frames and m history rows; a table is a data set w
     /contacts/pair (., 2)            identities of pairs in contact, where the law remembers them
     /progress/text                   JSON: what else a run needs to be resumed
     /lineage/<log>                   tables: births, deaths and ends up to the last frame
-    /history (m)                     table: a field for each observable
+    /history (m)                     table: a field for each observable; a group with a data set for
+                                     each where there are none, or too many for a table (some 600)
     /scene                           bytes of ``scene.toml``
 
 The ``unit`` of a table is a list, one for each field. Format 5, which is read too, has a group in

@@ -2,8 +2,10 @@
 
 import errno
 import os
+import runpy
 import shutil
 import tomllib
+from contextlib import closing
 from pathlib import Path
 
 import h5py
@@ -63,6 +65,8 @@ def without_tables(path):
         logs = [f"lineage/{log}" for log in file["lineage"]]
         tables = ("frames", "history", *logs, "offsets")
         for name in tables:
+            if isinstance(file[name], h5py.Group):  # a history that no table can hold
+                continue
             table, units = file[name][()], file[name].attrs["unit"]
             del file[name]
             for field, unit in zip(table.dtype.names, units, strict=True):
@@ -100,6 +104,96 @@ def test_files_without_tables_are_read_and_resumed(tmp_path):
     one, other = mc.load_result(new).frames, mc.load_result(old).frames
     assert len(one) == len(other) == 7
     assert one[6].cells.position.tobytes() == other[6].cells.position.tobytes()
+
+
+def measures(names, folder):
+    """Return observables of some names: the number of cells and the place of the name."""
+    text = "import multicell as mc\n" + "".join(
+        f"@mc.observable(name={name!r})\n"
+        f"def measure_{k}(state):\n    return {k} + len(state.cells)\n"
+        for k, name in enumerate(names)
+    )
+    (folder / "measures.py").write_text(text, encoding="utf-8")
+    found = runpy.run_path(str(folder / "measures.py"))
+    return [found[f"measure_{k}"] for k in range(len(names))]
+
+
+@pytest.mark.parametrize("old", [False, True])
+@pytest.mark.parametrize("names", [
+    ("offset", "frames", "digest", "offsets", "scene", "history", "ends", "unit"),
+    [f"count_of_something_{k}" for k in range(2_000)],
+], ids=["like paths", "many"])  # fmt: skip
+def test_a_run_keeps_observables_of_any_name_and_number(names, old, tmp_path):
+    """Names that columns of the file have, too, and more than a table can have; continued, too."""
+    own = measures(names, tmp_path)
+    scene = mc.load_scene("settle").with_changes(QUICK).with_observables(*own)
+    folder = tmp_path / "out"
+    mc.run(scene, output=folder, report=False, threads=1)
+    for changes, rows in ((None, 5), ({"duration": "6 min"}, 7)):
+        if changes:
+            mc.resume(folder, changes=changes, report=False, threads=1)
+        path = folder / "frames.h5"
+        with h5py.File(path) as file:
+            many = len(names) > 1_000
+            assert isinstance(file["history"], h5py.Group if many else h5py.Dataset)
+        if old:
+            without_tables(path)
+        history = mc.load_result(folder).history
+        assert history["time"].tolist() == [60.0 * k for k in range(rows)]
+        for k, name in enumerate(names):
+            assert history[name].tolist() == [k + 12.0] * rows, name
+
+
+@pytest.mark.parametrize("length", [8, 60, 1_000, 14_000, 29_900])
+def test_a_history_as_wide_as_a_table_can_be_is_one(length, tmp_path):
+    """One with a column more has a group; both come back."""
+    count = (30_000 - len("time") - 40) // (length + 40)
+    for more in (0, 1):
+        row = {"time": 0.0} | {f"{k:0{length}}": float(k) for k in range(count + more)}
+        folder = tmp_path / f"{more}"
+        with closing(Store.create(folder, SCENE)) as store:
+            store.append_history(row)
+            store.settle()
+        history = Contents(folder).history()
+        assert {name: column.tolist() for name, column in history.items()} == {
+            name: [value] for name, value in row.items()
+        }
+        with h5py.File(folder / "frames.h5") as file:
+            assert isinstance(file["history"], h5py.Group if more else h5py.Dataset)
+
+
+def _lose_all(file):
+    del file["history"]
+
+
+def _lose_columns(file):
+    digest = file["history"].attrs["digest"]
+    del file["history"]
+    file.create_group("history").attrs["digest"] = digest
+
+
+@pytest.mark.parametrize("lose", [_lose_all, _lose_columns])
+@pytest.mark.parametrize("old", [False, True])
+@pytest.mark.parametrize("rows", [0, 3])
+def test_a_lost_history_is_damage(rows, old, lose, tmp_path):
+    with closing(Store.create(tmp_path / "out", SCENE)) as store:
+        for k in range(rows):
+            store.append_history({"time": float(k), "cells": 1.0})
+        store.append(spheroid(30))
+        store.settle()
+    path = tmp_path / "out" / "frames.h5"
+    if old:
+        without_tables(path)
+    whole = {name: len(column) for name, column in Contents(path.parent).history().items()}
+    assert whole == ({"time": 3, "cells": 3} if rows else {})
+    with h5py.File(path, "r+") as file:
+        lose(file)
+    if lose is _lose_columns and not rows:  # nothing was lost
+        assert Contents(path.parent).history() == {}
+        return
+    with pytest.raises(OutputError, match=r"damaged|not what was written") as found:
+        Contents(path.parent).history()
+    assert found.value.damaged
 
 
 def test_journal_and_file_read_the_same(tmp_path):
