@@ -331,9 +331,18 @@ def _transfer(position, amount, values, density, out, grid, balls, left, low, hi
             beyond = _beyond(position, cell, size, widths, number, grid, low, high)
             if not beyond:
                 _lay(
-                    position, cell, size, origin, spacing, widths, points, number, axes, first,
+                    position,
+                    cell,
+                    size,
+                    origin,
+                    spacing,
+                    widths,
+                    points,
+                    number,
+                    axes,
+                    first,
                     weights,
-                )  # fmt: skip
+                )
         if beyond:
             continue
         x, y, z = first[0, c], first[1, c], first[2, c]

@@ -179,9 +179,24 @@ def _newton(
             break
         goal = max(share, 0.3 * target / size)
         products += _iterate(
-            rate, residual, varied, stiffness, ghost, weights, size, goal * goal, work, single,
-            uptake_shift, fx, fy, fz, lx, ly, lz,
-        )  # fmt: skip
+            rate,
+            residual,
+            varied,
+            stiffness,
+            ghost,
+            weights,
+            size,
+            goal * goal,
+            work,
+            single,
+            uptake_shift,
+            fx,
+            fy,
+            fz,
+            lx,
+            ly,
+            lz,
+        )
         steps += 1
         a, b, slope, part = here.reshape(c.size), there.reshape(c.size), 0.0, 1.0
         for n in range(c.size):
