@@ -55,7 +55,8 @@ class Playground:
 
     - ``factor``: by which cells are wider than those of the scene; ``note`` is on that
     - ``laws``: FILE:NAME of each law of the user's own that the scene needs
-    - ``units``: key of a range -> unit of its labels, and how many base units that is
+    - ``units``: key of a range -> unit of its labels, and how many base units that is; by default
+      hours for times, base units for others
     """
 
     def __init__(
@@ -123,8 +124,8 @@ class Playground:
         ]
 
     def _unit(self, item: Range) -> tuple[str, float]:
-        hours = ("h", 3600.0) if item.unit == "s" else (item.unit, 1.0)
-        return self._units.get(item.key, hours)
+        usual = ("h", 3600.0) if item.unit == "s" else (item.unit, 1.0)
+        return self._units.get(item.key, usual)
 
     def _label(self, item: Range, value: float) -> str:
         unit, factor = self._unit(item)
@@ -248,8 +249,6 @@ class Playground:
             "play.html",
             title=self.scene.title or "Untitled scene",
             subtitle=self.note,
-            tiles={},
-            scene="",
             sliders=sliders,
             **script("play.js"),
             about=Markup(json.dumps(sliders).replace("<", "\\u003c")),
@@ -263,7 +262,7 @@ class Playground:
         viewer = None if result is None else pack_view(result)
         if viewer is None:
             raise OutputError("there is no frame yet")
-        return rendered("view.html", title="", subtitle="", tiles={}, scene="", viewer=viewer)
+        return rendered("view.html", title="", viewer=viewer)
 
 
 def verdict(history: Mapping[str, NDArray[np.float64]]) -> str:

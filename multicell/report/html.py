@@ -70,8 +70,9 @@ def write_page(
 
 
 def rendered(template: str, **context: Any) -> str:
-    """Return a template of this room, filled in."""
-    return _environment().get_template(template).render(version=package_version(), **context)
+    """Return a template of this room, filled in; besides its title a page needs nothing else."""
+    page = {"subtitle": "", "tiles": {}, "scene": "", "version": package_version(), **context}
+    return _environment().get_template(template).render(page)
 
 
 @cache

@@ -176,13 +176,12 @@ def _explain(pen: Any, words: str, palette: Mapping[str, str], scale: float) -> 
 def _page(scene: Scene) -> str:
     from multicell.report.html import rendered, script
 
-    page = {
-        "picture": PICTURE,
-        "wide": WIDE,
-        "high": HIGH,
-        "least": readable_from(_LETTERS, WIDE / 72.0),
-        "tiles": {},
-        "scene": "",
-        "subtitle": "",
-    }
-    return rendered("live.html", title=scene.title or "Untitled run", **page, **script("live.js"))
+    return rendered(
+        "live.html",
+        title=scene.title or "Untitled run",
+        picture=PICTURE,
+        wide=WIDE,
+        high=HIGH,
+        least=readable_from(_LETTERS, WIDE / 72.0),
+        **script("live.js"),
+    )

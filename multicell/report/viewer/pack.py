@@ -15,7 +15,6 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
@@ -27,7 +26,7 @@ from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
 from multicell import random
-from multicell.cells import FloatArray, IntArray
+from multicell.cells import IntArray
 from multicell.errors import OutputError
 from multicell.population.extents import centre
 from multicell.random import Purpose
@@ -169,12 +168,7 @@ def _thin(frame: Frame, most: int) -> Frame:
 
 
 def _groups(frame: Frame) -> dict[str, list[int]]:
-    cells = frame.cells
-    columns: dict[str, NDArray[Any]] = {
-        "state": cells.state,
-        "type": cells.kind,
-        "phase": cells.phase,
-    }
+    columns = {"state": frame.cells.state, "type": frame.cells.kind, "phase": frame.cells.phase}
     return {name: np.bincount(column).tolist() for name, column in columns.items()}
 
 
@@ -182,7 +176,10 @@ def _columns(result: Result, frames: Sequence[Frame]) -> list[PackedColumn]:
     scene, lineage = result.scene, result.lineage
     columns = [
         PackedColumn("id", "", "u4", lambda f: f.cells.id, title="cell"),
-        *(PackedColumn(x, "µm", "u2", partial(_axis, k)) for k, x in enumerate("xyz")),
+        *(
+            PackedColumn(x, "µm", "u2", lambda f, k=k: f.cells.position[:, k])
+            for k, x in enumerate("xyz")
+        ),
         PackedColumn("radius", "µm", "u1", lambda f: f.cells.radius),
         PackedColumn("state", "", "u1", lambda f: f.cells.state, NAMED["state"]),
     ]
@@ -201,23 +198,13 @@ def _columns(result: Result, frames: Sequence[Frame]) -> list[PackedColumn]:
     for name in scene.nutrients:
         if all(name in frame.concentrations for frame in frames):
             unit = written(unit_of(f"cells.concentration_{name}"))
-            columns.append(PackedColumn(name, unit, "u1", partial(_field, name)))
+            columns.append(
+                PackedColumn(name, unit, "u1", lambda f, name=name: f.concentrations[name])
+            )
     for name in frames[-1].inside:
         if all(name in frame.inside for frame in frames):
-            columns.append(PackedColumn(name, "", "u1", partial(_inside, name)))
+            columns.append(PackedColumn(name, "", "u1", lambda f, name=name: f.inside[name]))
     return columns
-
-
-def _axis(k: int, frame: Frame) -> FloatArray:
-    return frame.cells.position[:, k]
-
-
-def _field(name: str, frame: Frame) -> FloatArray:
-    return frame.concentrations[name]
-
-
-def _inside(name: str, frame: Frame) -> FloatArray:
-    return frame.inside[name]
 
 
 def _clone_numbers(
@@ -436,8 +423,7 @@ def view_page(result: Result, **limits: int) -> str | None:
     found = pack_view(result, **limits)
     if found is None:
         return None
-    title = result.scene.title or "Untitled run"
-    return rendered("view.html", title=title, subtitle="", tiles={}, scene="", viewer=found)
+    return rendered("view.html", title=result.scene.title or "Untitled run", viewer=found)
 
 
 def write_view(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
