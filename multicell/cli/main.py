@@ -7,7 +7,6 @@ With ``--json`` stdout holds exactly one JSON document.
 from __future__ import annotations
 
 import shlex
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +16,7 @@ import click
 from multicell import __version__
 from multicell.cli import options as shared
 from multicell.cli.options import escape_markup, filled_table, key_table
-from multicell.cli.process import Commands, complain, print_json
+from multicell.cli.process import Commands, complain, print_json, print_result
 from multicell.errors import OutputError, StepFailed
 from multicell.units import time_text
 
@@ -217,11 +216,7 @@ def export_command(
 
     chosen = None if tables is None else [name.strip() for name in tables.split(",")]
     paths = write(folder, output, tables=chosen, **options)
-    if as_json:
-        print_json({"files": [str(path) for path in paths]})
-        return
-    for path in paths:
-        click.echo(path, file=sys.stdout)
+    print_result(as_json, {"files": [str(path) for path in paths]}, *paths)
 
 
 @main.command()
@@ -310,9 +305,9 @@ def _print_facts(console: Console, scene: str, facts: dict[str, Any]) -> None:
     console.print(
         escape_markup(f"{scene}: {facts['title']}" if facts["title"] else scene), style="bold"
     )
-    marks = {True: escape_markup("used"), False: escape_markup("absent")}
-    marks[True].stylize("green")
-    marks[False].stylize("dim")
+    from rich.text import Text
+
+    marks = {True: Text("used", "green"), False: Text("absent", "dim")}
     parts = [(marks[part["used"]], part["part"], part["what"]) for part in facts["parts"]]
     numbers = []
     for entry in facts["numbers"]:

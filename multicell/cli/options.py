@@ -225,25 +225,28 @@ specimens_option = valued(
 )
 
 
-data_options = grouped(
-    click.option(
+def with_data(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command measured ``data``, or None, and ``how`` they are read."""
+
+    @click.option(
         "--data",
         type=click.Path(path_type=Path),
         help="Table of measured data (CSV, Excel) to show with the curves, as 'fit' takes it.",
-    ),
-    columns_option,
-    where_option,
-    specimens_option,
-)
+    )
+    @columns_option
+    @where_option
+    @specimens_option
+    @wraps(command)
+    def called(
+        data: Path | None, columns: str | None, where: str | None, specimens: str, **options: Any
+    ) -> Any:
+        if data is None and (columns is not None or where is not None or specimens != "same"):
+            raise click.UsageError("--columns, --where and --specimens belong to --data")
+        how = {"columns": columns, "where": where, "specimens": specimens}
+        return command(data=data, how=how, **options)
 
-
-def how_to_read(
-    data: Path | None, columns: str | None, where: str | None, specimens: str
-) -> dict[str, Any]:
-    """Return how a table of measured data is read; refuse such options without a table."""
-    if data is None and (columns is not None or where is not None or specimens != "same"):
-        raise click.UsageError("--columns, --where and --specimens belong to --data")
-    return {"columns": columns, "where": where, "specimens": specimens}
+    decorated: Callable[..., Any] = called
+    return decorated
 
 
 def cells_change(cells: str | None, columns: str | None, changes: Sequence[str]) -> list[str]:

@@ -40,12 +40,13 @@ def print_json(document: Any) -> None:
     click.echo(text, file=sys.stdout)
 
 
-def print_file(path: object, as_json: bool) -> None:
-    """Print the path of a file that was written."""
+def print_result(as_json: bool, document: Any, *lines: object) -> None:
+    """Print a result: as one JSON document, or in lines."""
     if as_json:
-        print_json({"file": str(path)})
+        print_json(document)
     else:
-        click.echo(path)
+        for line in lines:
+            click.echo(line, file=sys.stdout)
 
 
 _NUMBERS: Final = {
@@ -92,8 +93,11 @@ class Group(click.Group):
         if self.get_command(ctx, name) is None:
             above = [] if ctx.parent is None else [ctx.info_name or ""]
             meant = {**self.meant, "help": " ".join([*above, *args[1:2], "--help"])}.get(name)
-            if meant is None and _is_scene(name):
-                meant = self.scene.format(name)
+            if meant is None:
+                from multicell.cli.options import known_scenes
+
+                if name.endswith(".toml") or name in known_scenes():
+                    meant = self.scene.format(name)
             if meant is not None:
                 raise click.UsageError(f"No such command {name!r}: multicell {meant}.", ctx)
         return super().resolve_command(ctx, args)
@@ -126,19 +130,12 @@ class Commands(Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands by what they are for, each with a whole sentence."""
-        left = self.list_commands(ctx)
-        for task, names in self._tasks.items():
-            rows = [
-                (name, _sentence(self.get_command(ctx, name))) for name in names if name in left
-            ]
-            left = [name for name in left if name not in names]
-            with formatter.section(task):
-                formatter.write_dl(rows)
-        if left:
-            with formatter.section("Other commands"):
-                formatter.write_dl(
-                    [(name, _sentence(self.get_command(ctx, name))) for name in left]
-                )
+        named = {name for names in self._tasks.values() for name in names}
+        others = [name for name in self.list_commands(ctx) if name not in named]
+        for task, names in {**self._tasks, "Other commands": others}.items():
+            if rows := [(name, _sentence(self.get_command(ctx, name))) for name in names]:
+                with formatter.section(task):
+                    formatter.write_dl(rows)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Return a command; None if there is no such one."""
@@ -165,13 +162,6 @@ class Commands(Group):
 
         with quiet_libraries() if {"--quiet", "-q"} & {*given} else nullcontext():
             leave(exit_code(command, "--json" in given))
-
-
-def _is_scene(name: str) -> bool:
-    """Return whether a word is a scene's name or file, where a command should stand."""
-    from multicell.cli.options import known_scenes
-
-    return name.endswith(".toml") or name in known_scenes()
 
 
 def _sentence(command: click.Command | None) -> str:

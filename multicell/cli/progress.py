@@ -416,18 +416,14 @@ class Pace:
         """Return how the study stands in words."""
         left, when = self.remaining(now), []
         if self.left and left is not None:
-            late = left < -1.0
-            when = [f"{wall_time(-left)} later than predicted" if late else _about(left)]
+            when = [f"about {time_text(max(left, 1.0), 2)} left"]  # whole seconds from one on
+            if left < -1.0:
+                when = [f"{wall_time(-left)} later than predicted"]
         return [
             f"{self.total - len(self.left):,} of {self.total:,} runs",
             *([f"{self.failed:,} failed"] if self.failed else []),
             *when,
         ]
-
-
-def _about(left: float) -> str:
-    """Return a wall time that is left in words, in whole seconds from one on."""
-    return f"about {time_text(max(left, 1.0), 2)} left"
 
 
 def study_reporter(

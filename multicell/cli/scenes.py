@@ -12,7 +12,7 @@ import click
 
 from multicell.cli import options as shared
 from multicell.cli.options import filled_table
-from multicell.cli.process import print_json
+from multicell.cli.process import print_json, print_result
 from multicell.errors import OutputError
 from multicell.host.files import parse_toml
 from multicell.schema import near_miss
@@ -76,10 +76,9 @@ def init(name: str, output: Path | None, overwrite: bool, as_json: bool) -> None
         shared.refuse_existing(file, overwrite=overwrite)
     for file, text in written.items():
         write_text(file, text)
-    if as_json:
-        print_json({"file": str(path), "others": [str(file) for file in written if file != path]})
-        return
-    click.echo(f"'{path}' is written. Edit it, then: multicell run {path} -o out", file=sys.stdout)
+    others = [str(file) for file in written if file != path]
+    said = f"'{path}' is written. Edit it, then: multicell run {path} -o out"
+    print_result(as_json, {"file": str(path), "others": others}, said)
 
 
 @click.command("coarsen")
@@ -98,11 +97,9 @@ def coarsen_command(
     made = coarse_scene(scene, factor)
     shared.refuse_existing(output, overwrite=overwrite)
     write_text(output, made.to_toml())
-    if as_json:
-        print_json({"file": str(output), "represents": made.cells.represents})
-        return
-    each = f"each cell stands for {made.cells.represents:g}"
-    click.echo(f"'{output}' is written: {each}.", file=sys.stdout)
+    each = made.cells.represents
+    said = f"'{output}' is written: each cell stands for {each:g}."
+    print_result(as_json, {"file": str(output), "represents": each}, said)
 
 
 @click.command()

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import webbrowser
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from multicell.cli import options as shared
-from multicell.cli.process import complain, print_file, print_json
+from multicell.cli.process import complain, print_result
 from multicell.cli.progress import display
 from multicell.errors import OutputError
 from multicell.report.plots.run import PICTURES
@@ -33,24 +33,17 @@ _OPTIONS = {
 @click.command("view")
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--no-browser", is_flag=True, help="Write the page, and do not open it.")
-@shared.data_options
+@shared.with_data
 @shared.loaded_law_option
 @shared.as_json_option
 def view_command(
-    folder: Path,
-    no_browser: bool,
-    data: Path | None,
-    columns: str | None,
-    where: str | None,
-    specimens: str,
-    as_json: bool,
+    folder: Path, no_browser: bool, data: Path | None, how: Mapping[str, Any], as_json: bool
 ) -> None:
     """Open the page of the run in FOLDER, also during the run, with all frames so far.
 
     The page is written again unless it is newer than the results. A run that has no frame yet
     shows a picture of its cells that renews itself.
     """
-    how = shared.how_to_read(data, columns, where, specimens)
     page = folder / "report.html"
     if data is not None or not _up_to_date(page, folder):
         from multicell.report.result import load_result
@@ -67,7 +60,7 @@ def view_command(
             page = result.report(comparison=found)
     if not no_browser and not webbrowser.open(page.resolve().as_uri()):
         complain("There is no browser to open it.")
-    print_file(page, as_json)
+    print_result(as_json, {"file": str(page)}, page)
 
 
 @click.command()
@@ -80,10 +73,8 @@ def cite_command(folder: Path, bibtex: bool, as_json: bool) -> None:
     from multicell.report.result import load_result
 
     found = load_result(folder).cite()
-    if as_json:
-        print_json({"text": found.text, "bibtex": found.bibtex})
-    else:
-        click.echo((found.bibtex if bibtex else found.text).rstrip())
+    shown = found.bibtex if bibtex else found.text
+    print_result(as_json, {"text": found.text, "bibtex": found.bibtex}, shown.rstrip())
 
 
 def _up_to_date(page: Path, folder: Path) -> bool:
@@ -129,7 +120,7 @@ def _up_to_date(page: Path, folder: Path) -> bool:
     **shared.offering(shared.known_quantities),
     help="Draw a column of the history against time, such as diameter; of several runs in one.",
 )
-@shared.data_options
+@shared.with_data
 @shared.loaded_law_option
 @shared.overwrite_option("Replace the file.")
 @shared.as_json_option
@@ -139,9 +130,7 @@ def plot(
     picture: str | None,
     quantity: str | None,
     data: Path | None,
-    columns: str | None,
-    where: str | None,
-    specimens: str,
+    how: Mapping[str, Any],
     overwrite: bool,
     as_json: bool,
     **options: Any,
@@ -150,7 +139,6 @@ def plot(
 
     With --data: measured data over the curves of all observables that both have.
     """
-    how = shared.how_to_read(data, columns, where, specimens)
     given = {name: value for name, value in options.items() if value is not None}
     if data is not None and (len(folders) > 1 or picture or quantity or given):
         raise click.UsageError("--data makes a picture of its own, of one run")
@@ -176,7 +164,7 @@ def plot(
     save_figure(figure, output)
     if words:
         complain(f"{words}.")
-    print_file(output, as_json)
+    print_result(as_json, {"file": str(output)}, output)
 
 
 def _refuse_mixed(
@@ -249,4 +237,4 @@ def movie_command(
     ) as progress:
         written(run, output, progress=progress, space=space, **given)
     if as_json or not quiet:
-        print_file(output, as_json)
+        print_result(as_json, {"file": str(output)}, output)

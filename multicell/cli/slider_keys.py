@@ -67,16 +67,10 @@ def _candidates(scene: Scene) -> Iterator[str]:
 
 
 def asked_units(texts: Mapping[str, str], ranges: Sequence[Range]) -> dict[str, tuple[str, float]]:
-    """Return the unit in which each range was given, and how many base units it is.
-
-    Times that were given without a unit are shown in hours.
-    """
+    """Return the unit in which ranges were given, if in any, and how many base units it is."""
     units = {}
     for text, item in zip(texts.values(), ranges, strict=True):
         match = _UNIT.fullmatch(text)
-        number = float(match[1]) if match else 0.0
-        if match is not None and match[2] and number:
-            units[item.key] = match[2], item.high / number
-        else:
-            units[item.key] = ("h", 3600.0) if item.unit == "s" else (item.unit, 1.0)
+        if match is not None and match[2] and float(match[1]):
+            units[item.key] = match[2], item.high / float(match[1])
     return units

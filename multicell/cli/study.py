@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 import click
 
 from multicell.cli import options as shared
-from multicell.cli.process import Group, complain, print_json
+from multicell.cli.process import Group, complain, print_json, print_result
 from multicell.errors import ExitCode, MulticellError, exit_code_of
 from multicell.units import time_text
 
@@ -436,31 +436,20 @@ def study_status_command(folder: Path, as_json: bool) -> None:
 @study_commands.command()
 @folder_argument
 @_studied
-@shared.data_options
+@shared.with_data
 @shared.as_json_option
-def report(
-    folder: Path,
-    data: Path | None,
-    columns: str | None,
-    where: str | None,
-    specimens: str,
-    as_json: bool,
-) -> None:
+def report(folder: Path, data: Path | None, how: Mapping[str, Any], as_json: bool) -> None:
     """Write the report of the study in FOLDER: pictures, table, and all numbers as files.
 
     That is report.html, study.nc (netCDF, for xarray) and study.csv. Runs that are missing or
     have failed are marked.
     """
-    how = shared.how_to_read(data, columns, where, specimens)
     made = _open_study(folder)
     points = None if data is None else made.compare_with(data, **how)
     page = made.report(points)
-    files = [str(page), str(folder / "study.nc"), str(folder / "study.csv")]
-    if as_json:
-        rows = {} if points is None else {"points": [point.row() for point in points]}
-        print_json({"files": files, **rows})
-        return
-    for file in files:
-        click.echo(file, file=sys.stdout)
+    files, nearest = [str(page), str(folder / "study.nc"), str(folder / "study.csv")], []
+    document: dict[str, Any] = {"files": files}
     if points is not None:
-        click.echo(f"Nearest point: {points[0].comparison.words}.", file=sys.stdout)
+        document["points"] = [point.row() for point in points]
+        nearest = [f"Nearest point: {points[0].comparison.words}."]
+    print_result(as_json, document, *files, *nearest)
