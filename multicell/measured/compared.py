@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import compress
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -14,7 +15,7 @@ from multicell.cells import FloatArray
 from multicell.errors import DataError
 from multicell.host.extras import needs
 from multicell.measured.data import ASSUMED, Datum, Measured, read_data
-from multicell.measured.observables import at_times, course_of, entry_of
+from multicell.measured.observables import value_at
 from multicell.measured.table import read_measurements
 from multicell.scene.scene import Scene
 
@@ -56,13 +57,7 @@ class MeasuredComparison:
 
     @cached_property
     def _scaled(self) -> FloatArray:
-        """The runs on the scales of comparison, (k, n)."""
-        return np.array(
-            [
-                [d.scaled(v) for d, v in zip(self.data, run, strict=True)]
-                for run in self.runs.tolist()
-            ]
-        )
+        return _scaled(self.data, self.runs)
 
     @cached_property
     def model(self) -> FloatArray:
@@ -125,6 +120,13 @@ class MeasuredComparison:
         return self.draw(self)
 
 
+def _scaled(data: Sequence[Datum], runs: FloatArray) -> FloatArray:
+    """Return values of runs on the scales of comparison, (k, n)."""
+    return np.array(
+        [[d.scaled(v) for d, v in zip(data, run, strict=True)] for run in runs.tolist()]
+    )
+
+
 def compare_runs(
     scene: Scene,
     runs: Sequence[tuple[Numbers, Mapping[str, Any]]],
@@ -149,21 +151,17 @@ def compare_runs(
     measured = read_data(table, open_end, sd=sd, specimens=specimens)
     data, notes = _of_scene(measured, open_end)
     values = np.array([[_value(datum, *run) for datum in data] for run in runs])
-    there = [
-        [math.isfinite(d.scaled(v)) for d, v in zip(data, run, strict=True)]
-        for run in values.tolist()
-    ]
-    known = np.asarray(np.array(there, dtype=bool).all(axis=0))
+    known = np.isfinite(_scaled(data, values)).all(axis=0)
     if not known.any():
         problem = "has nothing to compare: no run has a value at the times of the data"
         raise DataError(measured.source, problem, "Times count from the start of the run.")
     if not known.all():
-        first = next(d for d, found in zip(data, known.tolist(), strict=True) if not found)
+        first = data[int(np.argmin(known))]
         notes += [
             f"{int((~known).sum())} data have nothing to compare with, the first one "
             f"{first.observable} in {first.place}"
         ]
-    kept = tuple(d for d, found in zip(data, known.tolist(), strict=True) if found)
+    kept = tuple(compress(data, known))
     if any(datum.assumed for datum in kept):
         notes += [f"data without an error have one of {100.0 * sd:g} %"]
     histories = tuple(history for history, _ in runs)
@@ -196,10 +194,5 @@ def _of_scene(measured: Measured, scene: Scene) -> tuple[list[Datum], list[str]]
 
 def _value(datum: Datum, history: Numbers, summary: Mapping[str, Any]) -> float:
     """Return a run's value in place of a datum; NaN where it has none."""
-    name = datum.observable
-    if name not in history:
-        return entry_of(summary, name)
-    course = course_of(history, name)
-    if datum.time is None:
-        return float(course[-1])
-    return float(at_times(np.array([datum.time]), history["time"], course)[0])
+    time = None if datum.time is None else np.array([datum.time])
+    return float(np.ravel(value_at(history, summary, datum.observable, time))[0])

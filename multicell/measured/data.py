@@ -215,15 +215,14 @@ class _Rows:
         self._sd = sd
         self._has_specimens = single or any(column.kind == "specimen" for column in columns)
         self._keys: dict[tuple[tuple[str, Any], ...], int] = {}
-        self._labels: list[str] = []
-        self._scenes: list[Scene] = []
+        self._conditions: list[Condition] = []
         self._data: list[Datum] = []
 
     def read(self, row: int) -> None:
         """Read one row."""
         condition, numbers = self._condition(row), self._numbers(row)
         time = self._time(row, numbers)
-        scene = self._scenes[condition]
+        scene = self._conditions[condition].scene
         fields, timed = depth_fields(scene), in_history(scene)
         known = fields | timed | at_the_end(scene)
         depth = numbers.get(("depth", "depth"))
@@ -255,12 +254,12 @@ class _Rows:
     def measured(self) -> Measured:
         """Return the data that were read."""
         conditions = tuple(
-            Condition(label or f"condition {k + 1}", dict(key), self._lasting(k))
-            for k, (key, label) in enumerate(zip(self._keys, self._labels, strict=True))
+            replace(one, scene=self._lasting(k, one.scene))
+            for k, one in enumerate(self._conditions)
         )
         known: dict[str, str] = {}
-        for scene in self._scenes:
-            known |= depth_fields(scene) | in_history(scene) | at_the_end(scene)
+        for one in self._conditions:
+            known |= depth_fields(one.scene) | in_history(one.scene) | at_the_end(one.scene)
         units = {d.observable: known[d.observable] for d in self._data}
         data = group(self._data, self._table.name)
         return Measured(tuple(data), conditions, units, self._table.name)
@@ -316,7 +315,7 @@ class _Rows:
                     "is 0, of which a relative standard deviation says nothing",
                     f"Add a column '{column.name} sd' with its unit.",
                 )
-            sigma = division_radius(self._scenes[condition]) / size
+            sigma = division_radius(self._conditions[condition].scene) / size
         elif relative is None:
             assert given is not None
             sigma = given
@@ -360,12 +359,11 @@ class _Rows:
                 changes[column.name] = column.of_scene(text)
                 name = column.name.removeprefix("nutrients.").removesuffix(".boundary")
                 words.append(f"{name} {text} {column.unit}".strip())
-        key = tuple(changes.items())
-        if key not in self._keys:
-            self._keys[key] = len(self._keys)
-            self._labels.append(label or ", ".join(words))
-            self._scenes.append(self._changed(row, changes))
-        return self._keys[key]
+        number = self._keys.setdefault(tuple(changes.items()), len(self._keys))
+        if number == len(self._conditions):
+            label = label or ", ".join(words) or f"condition {number + 1}"
+            self._conditions.append(Condition(label, changes, self._changed(row, changes)))
+        return number
 
     def _changed(self, row: int, changes: Mapping[str, Any]) -> Scene:
         """Return the scene of a condition."""
@@ -382,9 +380,8 @@ class _Rows:
                 raise DataError(self._where(None, place), "has no unit", hint)
         return scene
 
-    def _lasting(self, condition: int) -> Scene:
+    def _lasting(self, condition: int, scene: Scene) -> Scene:
         """Return the scene of a condition, as long as its data need."""
-        scene = self._scenes[condition]
         own = [d for d in self._data if d.condition == condition]
         times = [d.time for d in own if d.time is not None]
         last = max(times, default=0.0)

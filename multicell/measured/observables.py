@@ -74,6 +74,19 @@ def entry_of(summary: Mapping[str, Any], name: str) -> float:
     return float(found) if isinstance(found, int | float) else float("nan")
 
 
+def value_at(
+    history: Mapping[str, NDArray[np.float64]],
+    summary: Mapping[str, Any],
+    name: str,
+    times: FloatArray | None,
+) -> FloatArray | float:
+    """Return an observable of a run at times, (t,), or at its end; NaN where it has none."""
+    if name not in history:
+        return entry_of(summary, name)
+    course = course_of(history, name)
+    return float(course[-1]) if times is None else at_times(times, history["time"], course)
+
+
 def at_times(times: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:
     """Return a column of a history at other times: linear between its rows, NaN beyond the last.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain, pairwise
+from itertools import chain, compress, pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -160,8 +160,7 @@ def _rows(table: Table, where: Mapping[str, str]) -> Table:
     """Return the rows that have certain values."""
     _refuse_one_of_several(table, where)
     chosen = rows_where(_columns(table), where, table.name)
-    rows = tuple(row for row, there in zip(table.rows, chosen, strict=True) if there)
-    places = tuple(p for p, there in zip(table.places, chosen, strict=True) if there)
+    rows, places = (tuple(compress(part, chosen)) for part in (table.rows, table.places))
     said = f"{len(rows):,} of {len(table.rows):,} rows"
     return replace(table, rows=rows, places=places, said=_joined(table, said))
 

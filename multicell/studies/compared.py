@@ -46,8 +46,7 @@ def compare_points(
     *,
     columns: str | Mapping[str, str] | None = None,
     where: str | None = None,
-    sd: float | None = None,
-    specimens: str = "same",
+    **how: Any,
 ) -> list[PointComparison]:
     """Return the points of a study that have data, the one nearest to them first.
 
@@ -69,7 +68,7 @@ def compare_points(
         except FAILURES:
             continue  # the study's own table names runs that cannot be read
         try:
-            one = compare_runs(runs[0].scene, histories, table, sd=sd, specimens=specimens)
+            one = compare_runs(runs[0].scene, histories, table, **how)
         except DataError as error:
             refused = error
             continue

@@ -9,14 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from multicell.errors import SceneError
-from multicell.measured.observables import (
-    at_the_end,
-    at_times,
-    course_of,
-    entry_of,
-    in_history,
-    suggest,
-)
+from multicell.measured.observables import at_the_end, in_history, suggest, value_at
 from multicell.scene.scene import Scene
 from multicell.studies.status import FAILURES, failed_status, read_finished
 
@@ -62,27 +55,13 @@ def read_final(
         if outcome.state != "done":
             continue
         try:
-            found = _read_run(folder, outcome.name, observables, times)
+            history, summary = read_finished(outcome.name, folder)
         except FAILURES as error:
             failures[outcome.name] = failed_status(outcome.name, error).reason
             continue
         for name in observables:
-            final[name][number] = found[name]
+            final[name][number] = value_at(history, summary, name, times)
     return final, failures
-
-
-def _read_run(
-    folder: Path, run: str, observables: Sequence[str], times: FloatArray | None
-) -> dict[str, FloatArray | float]:
-    history, summary = read_finished(run, folder)
-
-    def value(name: str) -> FloatArray | float:
-        if name not in history:
-            return entry_of(summary, name)
-        course = course_of(history, name)
-        return float(course[-1]) if times is None else at_times(times, history["time"], course)
-
-    return {name: value(name) for name in observables}
 
 
 def chosen_observables(scene: Scene, names: Sequence[str] | None) -> list[str]:
