@@ -77,7 +77,8 @@ def network(
     """
 
     def make(rates: Callable[..., None]) -> Network:
-        for function in (rates, *(() if observe is None else (observe,))):
+        written = [rates] if observe is None else [rates, observe]
+        for function in written:
             found = tuple(signature(function).parameters)
             if found != _ARGUMENTS:
                 raise TypeError(
@@ -95,11 +96,7 @@ def network(
             sorted(amounts),
             time_unit,
         ]
-        functions = [
-            rates,
-            *filter(None, [observe]),
-            *(part for e in known for part in (e.trigger, e.assign)),
-        ]
+        functions = [*written, *(part for e in known for part in (e.trigger, e.assign))]
         facts = [(e.name, e.persistent, e.initial, e.priority) for e in known]
         text = "\n".join([*map(fingerprint, functions), repr(stated), repr(facts)])
         mark = hashlib.sha256(text.encode()).hexdigest()[:12]

@@ -7,7 +7,7 @@ them is computed in the order of sbmlode's, and only where a function needs it.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property, partial
 from itertools import chain
 from typing import Any, Final, final
@@ -114,15 +114,14 @@ class Equations:
 
     def text(self) -> str:
         """Return the code of all functions."""
-        system = self.system
-        rates = {ode.variable: ode.rhs for ode in system.odes}
-        changes = [(f"out[{k}]", rates[name]) for k, name in enumerate(self.states)]
-        parts = [self._function("rates", lambda w: self._outputs(w, changes))]
+        parts = [self._function("rates", self._rates)]
         if self.observed:
             parts.append(self._function("observe", self._observed))
         parts.append(self._function("initial", self._initial))
-        for event in system.events:
-            self._check_event(event)
+        for event in self.system.events:
+            late = event.delay is not None and not is_number(event.delay, 0.0)
+            if late or event.priority is not None or event.root is None:
+                raise SceneError("", f"has the event '{event.symbol.sid}', which is not read")
         for k, event in enumerate(self.events):
             parts.append(self._function(f"trigger{k}", partial(self._trigger, event)))
             parts.append(self._function(f"assign{k}", partial(self._assign, event)))
@@ -156,11 +155,12 @@ class Equations:
                 names[name] = f"a{k}"
         return names
 
-    def _outputs(self, writer: ExpressionWriter, pairs: Sequence[tuple[str, Any]]) -> None:
-        names = self._scope(writer, [tree for _, tree in pairs])
-        for place, tree in pairs:
-            code = writer.value(tree, names)
-            writer.lines.append(f"{place} = {code}")
+    def _rates(self, writer: ExpressionWriter) -> None:
+        rates = {ode.variable: ode.rhs for ode in self.system.odes}
+        names = self._scope(writer, [rates[name] for name in self.states])
+        for k, name in enumerate(self.states):
+            code = writer.value(rates[name], names)
+            writer.lines.append(f"out[{k}] = {code}")
 
     def _observed(self, writer: ExpressionWriter) -> None:
         names = self._scope(writer, map(named, self.observed))
@@ -191,11 +191,6 @@ class Equations:
     def _changes(self, event: Any) -> list[Any]:
         return [a for a in event.assignments if a.variable not in self.inputs]
 
-    def _check_event(self, event: Any) -> None:
-        late = event.delay is not None and not is_number(event.delay, 0.0)
-        if late or event.priority is not None or event.root is None:
-            raise SceneError("", f"has the event '{event.symbol.sid}', which is not read")
-
     def _trigger(self, event: Any, writer: ExpressionWriter) -> None:
         names = self._scope(writer, [event.root, event.trigger])
         root = writer.bound(writer.value(event.root, names))
@@ -213,7 +208,7 @@ class Equations:
             for a in changes
         }
         scaled = [a for a in changes if a.scale is not None]
-        names = self._scope(writer, [a.scale for a in scaled]) if scaled else {}
+        names = self._scope(writer, [a.scale for a in scaled])
         for a in scaled:
             scale = writer.value(a.scale, names)
             new[a.variable] = writer.bound(f"{new[a.variable]} * {scale}")
@@ -221,13 +216,10 @@ class Equations:
             if a.divisor is None:
                 writer.lines.append(f"{self._place(a.variable)} = {new[a.variable]}")
         divided = [a for a in changes if a.divisor is not None]
-        sizes = self._sizes_after(writer, {a.divisor for a in divided})
+        sizes = self._scope(writer, map(named, sorted({a.divisor for a in divided})))
         for a in divided:
             place, size = self._place(a.variable), sizes[a.divisor]
             writer.lines.append(f"{place} = {new[a.variable]} / {size}")
-
-    def _sizes_after(self, writer: ExpressionWriter, sizes: set[str]) -> Mapping[str, str]:
-        return self._scope(writer, map(named, sorted(sizes))) if sizes else {}
 
     def _place(self, name: str) -> str:
         array, k = self._places[name]

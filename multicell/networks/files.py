@@ -72,6 +72,5 @@ def network_of_text(
         from multicell.networks.antimony_text import sbml_of
 
         needs("antimony")
-        text = sbml_of(text, name)
-        return network_from_sbml(text, f"{name} as SBML", inputs, given)
+        text, name = sbml_of(text, name), f"{name} as SBML"
     return network_from_sbml(text, name, inputs, given)

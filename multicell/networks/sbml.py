@@ -162,7 +162,7 @@ def _law(reaction: Any) -> list[Any]:
     return [node for node in nodes_of(law.getMath()) if _named(node) not in own]
 
 
-def _called(node: Any) -> str | None:
+def _called(node: Any) -> Any:
     return node.getName() if node.getType() == libsbml.AST_FUNCTION else None
 
 
@@ -190,13 +190,11 @@ def _grown(
     follow: dict[str, list[str]] = {}
     own: dict[str, float] = {}
     for name, nodes in trees.items():
-        own[name] = len(nodes) + sum(
-            (calls or {}).get(one or "", 0.0) for one in map(_called, nodes)
-        )
+        own[name] = len(nodes) + sum((calls or {}).get(one, 0.0) for one in map(_called, nodes))
         follow[name] = [one for one in map(leads_to, nodes) if one is not None and one in trees]
     sizes: dict[str, float] = {}
     try:
-        order = list(TopologicalSorter({k: set(v) for k, v in follow.items()}).static_order())
+        order = list(TopologicalSorter(follow).static_order())
     except CycleError as error:
         circle = ", ".join(f"'{name[:40]}'" for name in error.args[1][:5])
         raise SceneError("", f"has formulas that need each other in a circle: {circle}") from None
@@ -208,8 +206,8 @@ def _grown(
 
 
 def _too_large(name: str) -> SceneError:
-    most = f"{_MAX_EXPANDED:,}"
-    return SceneError("", f"has a formula of more than {most} parts once expanded ('{name[:80]}')")
+    problem = f"has a formula of more than {_MAX_EXPANDED:,} parts once expanded ('{name[:80]}')"
+    return SceneError("", problem)
 
 
 def _network(
@@ -230,6 +228,8 @@ def _network(
         if not math.isfinite(numbers[one]):
             raise SceneError("", f"begins with '{one}' at {numbers[one]:g}, must be finite")
     known = (*plan.states, *plan.inputs, *plan.parameters, *plan.observed)
+    sizes = {q.symbol.sid for q in system.compartments}  # which halve with the cell, as amounts do
+    amounts = sizes | {q.symbol.sid for q in system.species if q.amount}
     return Network(
         name=name,
         states=plan.states,
@@ -244,7 +244,7 @@ def _network(
         source=text,
         events=tuple(_events(plan, functions)),
         units={one: units[one] for one in known if one in units},
-        amounts=frozenset(_extensive(system) & set(plan.states)),
+        amounts=frozenset(amounts & set(plan.states)),
         time_unit=second,
         initial=functions["initial"],
         computed=frozenset(plan.computed),
@@ -285,9 +285,3 @@ def _events(plan: Equations, functions: Mapping[str, Any]) -> Iterable[Event]:
             persistent=event.persistent,
             initial=event.initial_value,
         )
-
-
-def _extensive(system: Any) -> set[str]:
-    """Return the quantities that halve with the cell: amounts, and sizes of compartments."""
-    amounts = {q.symbol.sid for q in system.species if q.amount}
-    return amounts | {q.symbol.sid for q in system.compartments}

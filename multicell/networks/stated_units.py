@@ -130,9 +130,8 @@ def _raised(text: str, power: float) -> str:
 def _ratio(above: str, below: str) -> str:
     if not below:
         return above
-    return _plain(
-        f"{above or '1'}/{below}" if not set(below) & set(" /*") else f"{above}/({below})"
-    )
+    divided = f"({below})" if set(below) & set(" /*") else below
+    return _plain(f"{above or '1'}/{divided}")
 
 
 def _plain(text: str) -> str:
