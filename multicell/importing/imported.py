@@ -80,10 +80,10 @@ class Account:
         self.entries.append(Entry(element.path, element.line, value, fate, key, note))
 
     def take_all(
-        self, elements: Iterable[Element], fate: Fate, key: str = "", note: str = ""
+        self, elements: Iterable[Element | None], fate: Fate, key: str = "", note: str = ""
     ) -> None:
         """Account for all leaves of elements in one way, those aside that have an entry."""
-        for element in elements:
+        for element in filter(None, elements):
             for leaf in element.leaves():
                 if leaf not in self:
                     self.take(leaf, fate, key, note)

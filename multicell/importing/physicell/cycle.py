@@ -51,11 +51,6 @@ class CycleModel:
     homes: tuple[str, ...]  # the phase of ours in which each of them is
     doubles_before: bool = True  # whether volume doubles before division, not after it
 
-    @property
-    def has_ki67(self) -> bool:
-        """Whether its phases are those of Ki67."""
-        return self.name.startswith("Ki67")
-
 
 # minutes, and whether the phase is fixed: PhysiCell's standard models
 _SHORT = ((4.59 * 60, False), (15.5 * 60, True))
@@ -222,7 +217,8 @@ def _growth_rate(model: Model, kind: CellDefinition, cycle: Cycle) -> float:
 def _set_start(model: Model, known: Mapping[CellDefinition, Cycle], lead: CellDefinition) -> None:
     """Set what is Ki67-positive, and begin after what precedes PhysiCell's first phase in G1."""
     growth, cycle = model.part("growth"), known[lead]
-    if all(own.model.has_ki67 for own in known.values() if math.isfinite(own.minutes)):
+    dividing = [own.model for own in known.values() if math.isfinite(own.minutes)]
+    if all(own.name.startswith("Ki67") for own in dividing):
         growth["ki67_decay"] = cycle.after_division * MINUTE
     if not cycle.stages[-1].fixed:
         return

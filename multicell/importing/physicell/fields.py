@@ -154,15 +154,6 @@ class SubstanceExchange:
         what = rule.behaviour.removeprefix(f"{name} ")
         return replace(self, **{what.removeprefix("secretion "): max(rule.end, 0.0)})
 
-    def given_off(self, volume: float) -> float:
-        """Return its secretion that does not depend on the concentration, unit µm³ / min."""
-        return self.secretion * self.target * volume + max(self.export, 0.0)
-
-    @property
-    def taken_up(self) -> float:
-        """First-order uptake per volume, 1/min."""
-        return self.uptake + self.secretion
-
 
 def read_secretion(model: Model) -> None:
     """Read ``secretion`` of all types; to be called when the substances are known."""
@@ -200,10 +191,14 @@ def _set_field(model: Model, name: str, known: dict[CellDefinition, SubstanceExc
     rules = _rules(model, name)
 
     def takes(kind: CellDefinition, rule: Rule | None) -> float:
-        return known[kind].under(name, rule).taken_up
+        """Return first-order uptake per volume, 1/min."""
+        does = known[kind].under(name, rule)
+        return does.uptake + does.secretion
 
     def gives(kind: CellDefinition, rule: Rule | None) -> float:
-        return known[kind].under(name, rule).given_off(kind.volume)
+        """Return secretion that does not depend on the concentration, unit µm³ / min."""
+        does = known[kind].under(name, rule)
+        return does.secretion * does.target * kind.volume + max(does.export, 0.0)
 
     def largest(kind: CellDefinition, of: Callable[[CellDefinition, Rule | None], float]) -> float:
         return max(of(kind, rule) for rule in (None, *rules) if rule is None or rule.kind is kind)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 
 from multicell.behaviours.catalogue import SURFACE_ENERGY
 from multicell.cells import stokes_drag
@@ -128,8 +129,7 @@ def _read_adhesion(model: Model) -> None:
     most = _strongest(model)
     pairs = {
         (i, j): math.sqrt(max(own[i] * affinity[i][j.name] * own[j] * affinity[j][i.name], 0.0))
-        for i in model.kinds
-        for j in model.kinds
+        for i, j in product(model.kinds, repeat=2)
     }
     _account_for_strongest(model, pairs, most)
     pairs = {of: strength(min(value, most[of])) for of, value in pairs.items()}
@@ -140,11 +140,8 @@ def _read_adhesion(model: Model) -> None:
                 j.key: pairs[i, j] if i.number <= j.number else pairs[j, i] for j in model.kinds
             }
             model.of_type(i, "surface_energy", energies)
-        ruled = _equilibrium(i)
-        if ruled is not None:
-            given = i.own(_ADHESION)
-            if given is not None and given not in model.account:
-                model.account.take(given, Fate.OFF, note=f"set by {ruled[1].tag}")
+        if (ruled := _equilibrium(i)) is not None:
+            model.account.take_all([i.own(_ADHESION)], Fate.OFF, note=f"set by {ruled[1].tag}")
     # rules change how strongly cells adhere: of two the geometric mean, as there
     known = {i: own[i] for i in own if any(pairs[i, j] > 0.0 for j in own)}
     rules = rules_of(model, "cell-cell adhesion", known)
@@ -159,8 +156,7 @@ def _strongest(model: Model) -> dict[tuple[CellDefinition, CellDefinition], floa
     own = {kind: _repulsion(kind) or usual for kind in model.kinds}
     return {
         (i, j): _MOST * 2.0 * own[i] * own[j] / (own[i] + own[j])
-        for i in model.kinds
-        for j in model.kinds
+        for i, j in product(model.kinds, repeat=2)
     }
 
 
@@ -176,12 +172,7 @@ def _account_for_strongest(
             note = f"{_MOST:g} of the repulsion with {', '.join(drawn)[:200]}: in PhysiCell such "
             note += "cells fall into one another"
             given = [i.own(tag) for tag in (_ADHESION, _AFFINITIES[0])]
-            model.account.take_all(
-                [one for one in given if one is not None],
-                Fate.APPROXIMATED,
-                "contact.surface_energy",
-                note,
-            )
+            model.account.take_all(given, Fate.APPROXIMATED, "contact.surface_energy", note)
 
 
 def _read_wall(model: Model) -> None:

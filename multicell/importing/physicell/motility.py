@@ -45,7 +45,8 @@ class Migration:
 
 def read_motility(model: Model) -> None:
     """Read ``motility`` of all types; to be called when the substances are known."""
-    moving = {kind: _migration(model, kind) for kind in model.kinds if _moves(kind)}
+    enabled = {kind: kind.given("motility/options/enabled") for kind in model.kinds}
+    moving = {kind: _migration(model, kind) for kind, on in enabled.items() if on and on.flag()}
     moving = {kind: how for kind, how in moving.items() if how.fastest > 0.0}
     # the pattern of most cells that follow something, at the largest speed that any of them has
     lead = max(
@@ -66,11 +67,6 @@ def read_motility(model: Model) -> None:
         )
     for kind in model.kinds:
         _account_for(model, kind, moving.get(kind), moving[lead] if lead else None)
-
-
-def _moves(kind: CellDefinition) -> bool:
-    found = kind.given("motility/options/enabled")
-    return found is not None and found.flag()
 
 
 def _migration(model: Model, kind: CellDefinition) -> Migration:
