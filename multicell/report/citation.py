@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.integrators.registry import METHODS
 from multicell.results.folder import package_version
+from multicell.results.quantities import entry
 from multicell.scene.scene import Scene
 from multicell.scene.steps import longest_coupling_step
 from multicell.schema import leaves
@@ -19,7 +20,6 @@ from multicell.units import shown, time_text
 
 if TYPE_CHECKING:
     from multicell.report.result import Result
-    from multicell.scene.scene import Scene
 
 _CONTACTS: Final = {
     "hertz": ("hertz1882",),
@@ -51,8 +51,8 @@ def cite(result: Result) -> Citation:
     keys = {key for found in re.findall(r"\[([a-z0-9, ]*)\]", text) for key in found.split(", ")}
     version = str((result.summary_dict.get("versions") or {}).get("multicell", package_version()))
     source = files("multicell.report").joinpath("templates/citations.bib")
-    entries = source.read_text(encoding="utf-8").replace("VERSION", version).split("\n\n")
-    used = [entry.strip() for entry in entries if entry.split("{", 1)[1].split(",")[0] in keys]
+    known = source.read_text(encoding="utf-8").replace("VERSION", version).split("\n\n")
+    used = [one.strip() for one in known if one.split("{", 1)[1].split(",")[0] in keys]
     return Citation(text, "\n\n".join(used) + "\n")
 
 
@@ -131,18 +131,14 @@ def _numerics(result: Result) -> str:
 
 def _errors(summary: Mapping[str, Any]) -> list[tuple[str, float]]:
     """Return the estimates of error that a summary has, with what they are of."""
-    splitting = summary.get("splitting") or {}
-    known = [
-        ("volume of the tissue by coupling, relative", splitting.get("relative_volume_error")),
-        ("volume of the worst cell by coupling, relative", splitting.get("worst_cell_error")),
-        ("volume by coupling, of first order", splitting.get("first_order_error")),
-        ("balance of molecules, relative", (summary.get("ledger") or {}).get("relative_remainder")),
-    ]
-    return [
-        (words, float(value))
-        for words, value in known
-        if isinstance(value, int | float) and math.isfinite(value)
-    ]
+    known = {
+        "volume of the tissue by coupling, relative": "splitting.relative_volume_error",
+        "volume of the worst cell by coupling, relative": "splitting.worst_cell_error",
+        "volume by coupling, of first order": "splitting.first_order_error",
+        "balance of molecules, relative": "ledger.relative_remainder",
+    }
+    found = [(words, entry(summary, name)) for words, name in known.items()]
+    return [(w, float(x)) for w, x in found if isinstance(x, int | float) and math.isfinite(x)]
 
 
 def _origin(result: Result) -> str:

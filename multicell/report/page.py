@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,8 +15,6 @@ from multicell.report.wording import cell_count, diagnostics, measures
 from multicell.results.folder import LIVE, in_use, remove
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from multicell.measured.compared import MeasuredComparison
     from multicell.report.result import Result
 
@@ -35,7 +33,12 @@ def write_report(
         raise OutputError("the run has no output folder: say where the report shall go")
     from multicell.report.viewer.pack import pack_view
 
-    summary = result.summary()
+    summary, plots = result.summary(), result.plot
+    drawings: dict[str, Drawing] = {
+        f"{name}.png": (getattr(plots, name), kind.caption)
+        for name, kind in PICTURES.items()
+        if kind.on_page(plots)
+    }
     phases = {k: v for k, v in (summary.get("wall") or {}).items() if k != "total"}
     page = write_page(
         place / "report.html",
@@ -44,7 +47,7 @@ def write_report(
         title=result.scene.title or "Untitled run",
         subtitle=_subtitle(result, summary),
         tiles=dict(measures(summary)),
-        pictures=dict(_drawings(result)) | compared_drawing(comparison),
+        pictures=drawings | compared_drawing(comparison),
         compared=comparison,
         viewer=pack_view(result),
         summary=summary,
@@ -56,13 +59,6 @@ def write_report(
     if not in_use(place):  # of a run that was killed: the report takes their place
         remove(place, LIVE)
     return page
-
-
-def _drawings(result: Result) -> Iterator[tuple[str, tuple[Callable[[], Figure], str]]]:
-    plots = result.plot
-    for name, kind in PICTURES.items():
-        if kind.on_page(plots):
-            yield f"{name}.png", (getattr(plots, name), kind.caption)
 
 
 def compared_drawing(comparison: MeasuredComparison | None) -> dict[str, Drawing]:

@@ -62,27 +62,22 @@ def measures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 def diagnostics(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield name and value in words of a summary's entries on accuracy and cost."""
-    amiss = (summary.get("splitting") or {}).get("relative_volume_error")
-    if amiss is not None:
+    if (amiss := entry(summary, "splitting.relative_volume_error")) is not None:
         yield "volume changed by coupling steps", f"about {100.0 * amiss:+.2g} %"
-    events = (summary.get("splitting") or {}).get("events_error")
-    if events is not None:
+    if (events := entry(summary, "splitting.events_error")) is not None:
         yield "deaths and changes of type by coupling steps", f"up to about {events:.2g} of them"
     if steps := summary.get("coupling_steps"):
         ends = (f"{steps[end] / 60.0:.3g}" for end in ("shortest", "longest"))
         wrong = 100.0 * summary["splitting"]["first_order_error"]
         more = f"; {steps['exceeded']:,} too long" if steps["exceeded"] else ""
         yield "coupling steps", f"{' to '.join(ends)} min, for about {wrong:.2g} % of volume{more}"
-    effect = (summary.get("integrator") or {}).get("largest_shift_effect")
-    if effect is not None:
+    if (effect := entry(summary, "integrator.largest_shift_effect")) is not None:
         yield "effect of a shift of 0.01 µm", f"up to {effect:.2g} µm in a step"
-    total = (summary.get("wall") or {}).get("total")
-    if total is not None:
+    if (total := entry(summary, "wall.total")) is not None:
         yield "wall time", clock(total)
     if summary.get("peak_memory") is not None:
         yield "peak memory", f"{summary['peak_memory']:,.0f} MB"
-    balance = (summary.get("ledger") or {}).get("relative_remainder")
-    if balance is not None:
+    if (balance := entry(summary, "ledger.relative_remainder")) is not None:
         yield "nutrient unaccounted for", f"{balance:.1e}"
     for name, field in (summary.get("fields") or {}).items():
         if "discretisation_error" in field:

@@ -175,7 +175,9 @@ def parse_ranges(free: Mapping[str, Any], scene: Scene) -> tuple[Range, ...]:
 
 def with_unique_names(axes: Iterable[Axis | Range]) -> list[Any]:
     """Return axes or ranges with names that are unique: as much of the keys as that takes."""
-    axes, taken = list(axes), _reserved()
+    axes = list(axes)
+    # names of observables and of other coordinates
+    taken = {"point", "state", "reason", *own_names(), *(n for n in QUANTITY_UNITS if "." not in n)}
     keys = {axis.key for axis in axes}
     result = []
     for axis in axes:
@@ -187,12 +189,6 @@ def with_unique_names(axes: Iterable[Axis | Range]) -> list[Any]:
                 break
         result.append(replace(axis, name=name))
     return result
-
-
-def _reserved() -> set[str]:
-    """Return the names that observables of a run and other coordinates have."""
-    own = {"point", "state", "reason", *own_names()}
-    return own | {name for name in QUANTITY_UNITS if "." not in name}
 
 
 def _listed(key: Key, text: str) -> list[Any]:

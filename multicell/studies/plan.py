@@ -105,18 +105,15 @@ class Plan:
 
         - ``expected``, per point, s: wall time that one of its runs takes
         """
-        made = []
-        for name, (k, scene) in zip(self.names, self._each(), strict=True):
-            where = {**self.points[k].coordinates, "seed": scene.seed}
-            made.append(StudyRun(name, scene, where, expected[k]))
+        made, places = [], itertools.product(range(len(self.scenes)), range(self.seeds))
+        for name, (k, j) in zip(self.names, places, strict=True):
+            seeded = copy(
+                self.scenes[k]
+            )  # which is checked already, and no check asks for the seed
+            object.__setattr__(seeded, "seed", seeded.seed + j)
+            where = {**self.points[k].coordinates, "seed": seeded.seed}
+            made.append(StudyRun(name, seeded, where, expected[k]))
         return made
-
-    def _each(self) -> Iterator[tuple[int, Scene]]:
-        for k, scene in enumerate(self.scenes):
-            for j in range(self.seeds):
-                seeded = copy(scene)  # which is checked already, and no check asks for the seed
-                object.__setattr__(seeded, "seed", scene.seed + j)
-                yield k, seeded
 
     def _refuse_equal_points(self) -> None:
         """Refuse two points whose runs would be the same."""

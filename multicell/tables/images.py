@@ -105,8 +105,7 @@ def _read(
     """Return labels, their axes (``ZYX`` or ``YX``), µm of a pixel by axis, number of frames."""
     pixels, axes, sizes, frames = _pixels(content, name, frame, channels=False)
     if pixels.dtype.kind not in "ui":
-        whole = pixels.dtype.kind == "f" and bool((pixels == np.floor(pixels)).all())
-        if not whole:
+        if pixels.dtype.kind != "f" or (pixels != np.floor(pixels)).any():
             raise DataError(name, f"has pixels of {pixels.dtype}, must be whole numbers of cells")
         pixels = pixels.astype(np.int64)
     if pixels.min(initial=0) < 0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from importlib import import_module
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 from multicell.host.closed import may_be_on_disk
 
@@ -12,25 +12,16 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-class _Landmark(NamedTuple):
-    """A kernel whose code on disk says that its part is compiled.
-
-    - ``seconds``: wall time of the part on a 2.5 GHz Xeon, as ``multicell run spheroid`` had it
-    """
-
-    module: str
-    kernel: str
-    seconds: float
-
-
 _LANDMARKS: Final = {
-    "random numbers": _Landmark("philox", "philox_blocks", 0.7),
-    "fields": _Landmark("nutrient.stencil", "account", 17.0),
-    "motion": _Landmark("mechanics.forces", "forces", 9.0),
-    "forces": _Landmark("mechanics.forces", "forces", 4.5),
-    "neighbour lists": _Landmark("mechanics.neighbours.repairing", "repair", 6.5),
+    "random numbers": ("philox", "philox_blocks", 0.7),
+    "fields": ("nutrient.stencil", "account", 17.0),
+    "motion": ("mechanics.forces", "forces", 9.0),
+    "forces": ("mechanics.forces", "forces", 4.5),
+    "neighbour lists": ("mechanics.neighbours.repairing", "repair", 6.5),
 }
-"""Kernels by the names of parts that :mod:`multicell.compiling.listeners` counts."""
+"""Module and kernel whose code on disk says that a part is compiled, and the wall time in s of the
+part on a 2.5 GHz Xeon, as ``multicell run spheroid`` had it; by the names of parts that
+:mod:`multicell.compiling.listeners` counts."""
 
 LISTS_FROM: Final = 1000.0  # cells from which on lists are repaired, and that is compiled
 

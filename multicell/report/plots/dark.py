@@ -44,9 +44,9 @@ _SAME: Final = frozenset(to_hex(colour) for colour in (*STATE_COLOURS.values(), 
 _LOST: Final = frozenset(to_hex(STATE_COLOURS[name]) for name in ("necrotic", "apoptotic"))
 
 
-def contrast(colour: Any, other: Any = CARD) -> float:
-    """Return the contrast of two colours after WCAG 2, 1 to 21."""
-    low, high = sorted((luminance(colour), luminance(other)))
+def contrast(colour: Any) -> float:
+    """Return the contrast of a colour with the card after WCAG 2, 1 to 21."""
+    low, high = sorted((luminance(colour), luminance(CARD)))
     return (high + 0.05) / (low + 0.05)
 
 
@@ -88,22 +88,18 @@ def darken(figure: Figure) -> None:
 def _artists(artist: Artist, home: Axes | None) -> Iterator[Artist]:
     """Yield all artists below one but what is drawn in axes that keep their colours."""
     for child in artist.get_children():
-        if artist is home and _kept(home) and not _around(home, child):
+        if artist is home and _stays(home, child):
             continue
         if not isinstance(child, Axes):
             yield child
         yield from _artists(child, child if isinstance(child, Axes) else home)
 
 
-def _kept(axes: Axes) -> bool:
+def _stays(axes: Axes, child: Artist) -> bool:
     """Return whether axes keep what is drawn in them: cells, or letters on tiles of a map."""
-    return axes.get_gid() == GROUND or any(isinstance(c, QuadMesh) for c in axes.collections)
-
-
-def _around(axes: Axes, child: Artist) -> bool:
-    """Return whether a part of such axes stands on the card beside them."""
-    text = isinstance(child, Text) and child.get_text() == axes.get_title(loc="left")
-    return text or isinstance(child, (Axes, Axis))
+    kept = axes.get_gid() == GROUND or any(isinstance(c, QuadMesh) for c in axes.collections)
+    title = isinstance(child, Text) and child.get_text() == axes.get_title(loc="left")
+    return kept and not title and not isinstance(child, (Axes, Axis))  # these stand on the card
 
 
 def _recolour(artist: Artist) -> None:

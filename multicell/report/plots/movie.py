@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final
 
 import matplotlib as mpl
 import numpy as np
@@ -82,22 +82,26 @@ def movie(
         raise OutputError("no frame of the run has cells: there is nothing to show")
     hold = max(1, round(_REST * rate))
     shades = _shades(result, numbers, one_spelling(colour, color))
-    frames, scene = _Inside(result), result.scene
+    scene = result.scene
     figures: Iterator[Figure]
+
+    def inside(number: int) -> Frame:
+        return result.frames[number].within(scene.domain)
+
     if space:  # the eye turns on while the last frame stays
         numbers += hold * numbers[-1:]
         swing = View(turn, cut).turn * np.sin(np.linspace(0.0, 2.0 * np.pi, len(numbers)))
         views = [View(0.5 * float(angle), cut) for angle in swing]
-        half = max(room(frames[k]) for k in dict.fromkeys(numbers))
+        half = max(room(inside(k)) for k in dict.fromkeys(numbers))
         figures = (
-            film_picture(frames[k], scene, shades(k), view, half, transparent)
+            film_picture(inside(k), scene, shades(k), view, half, transparent)
             for k, view in zip(numbers, views, strict=True)
         )
         hold = 0
     else:
-        half = max(window(frames[k], scene) for k in numbers)
+        half = max(window(inside(k), scene) for k in numbers)
         where = None if plane is None else Plane.parse(plane)
-        figures = (section(frames[k], scene, shades(k), where, half) for k in numbers)
+        figures = (section(inside(k), scene, shades(k), where, half) for k in numbers)
 
     with (
         file_errors("write", path),
@@ -110,17 +114,6 @@ def movie(
                 progress(done, len(numbers))
         write_bytes(path, film.read_bytes())
     return path
-
-
-@final
-class _Inside:
-    """The frames of a run, their cells inside a domain in which space repeats."""
-
-    def __init__(self, result: Result) -> None:
-        self._result = result
-
-    def __getitem__(self, number: int) -> Frame:
-        return self._result.frames[number].within(self._result.scene.domain)
 
 
 def _shades(result: Result, numbers: list[int], colour: str | None) -> Callable[[int], Colouring]:

@@ -211,7 +211,9 @@ def inline_picture(figure: Figure, path: Path | None = None) -> InlinePicture:
             title.set_visible(True)
             title.draw(canvas.get_renderer())
             title.set_visible(False)
-        write_bytes(path, _as_png(canvas))
+        whole, known = io.BytesIO(), {"Software": "multicell"}  # as :func:`render` makes it
+        imsave(whole, canvas.buffer_rgba(), format="png", dpi=DPI, metadata=known)
+        write_bytes(path, whole.getvalue())
     least = readable_width(figure)
     darken(figure)
     dark = _packed(_drawn(figure), size)
@@ -223,13 +225,6 @@ def _drawn(figure: Figure) -> Any:
     canvas: Any = FigureCanvasAgg(figure)  # whose methods have no types
     canvas.draw()
     return canvas
-
-
-def _as_png(canvas: Any) -> bytes:
-    """Return a drawn canvas as a file, as :func:`render` makes it."""
-    picture = io.BytesIO()
-    imsave(picture, canvas.buffer_rgba(), format="png", dpi=DPI, metadata={"Software": "multicell"})
-    return picture.getvalue()
 
 
 def readable_width(figure: Figure) -> int:
