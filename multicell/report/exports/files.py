@@ -25,8 +25,9 @@ from multicell.schema import near_miss
 class Format:
     """A format of exported files.
 
-    - ``function``: ``module.name`` in the room ``report``: ``write(run, frames, folder, tables)``
-      writes into a folder and returns the names; ``frames()`` gives frames with their numbers
+    - ``function``: ``module.name`` in the room ``report``: ``write(run, frames, folder)``, with
+      ``tables`` as well where there are any, writes into a folder and returns the names;
+      ``frames()`` gives frames with their numbers
     """
 
     function: str
@@ -144,7 +145,8 @@ def export(
         with tempfile.TemporaryDirectory(prefix=".export-", dir=folder) as place:
             staged = Path(place)
             with file_errors("write the files in", folder):
-                written = write(run, partial(_frames, run, frame), staged, names)
+                more = [names] if chosen.tables else []
+                written = write(run, partial(_frames, run, frame), staged, *more)
             if not overwrite:
                 _refuse_old(folder, written)
             with UNCUT:

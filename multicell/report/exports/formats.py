@@ -56,9 +56,7 @@ _KINDS: Final = {
 """Media type and description of the files of a run."""
 
 
-def write_netcdf_files(
-    run: Result, frames: Frames, folder: Path, tables: Sequence[str]
-) -> list[str]:
+def write_netcdf_files(run: Result, frames: Frames, folder: Path) -> list[str]:
     """Write the history and each frame into files of their own and return the names."""
     names = ["history.nc"]
     write_file(run.to_xarray(), folder / names[0])
@@ -68,7 +66,7 @@ def write_netcdf_files(
     return names
 
 
-def write_vtk(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
+def write_vtk(run: Result, frames: Frames, folder: Path) -> list[str]:
     """Write frames and their index into a folder and return the names of the files."""
     root = ElementTree.Element("VTKFile", type="Collection", version="0.1")
     collection = ElementTree.SubElement(root, "Collection")
@@ -101,7 +99,7 @@ def _vtk_text(data: Any) -> str:
     return text
 
 
-def write_anndata(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
+def write_anndata(run: Result, frames: Frames, folder: Path) -> list[str]:
     """Write the cells of all frames into one file and return its name."""
     import anndata
     import h5py
@@ -152,7 +150,7 @@ def _connect(data: Any, frames: Sequence[Frame], period: FloatArray | None) -> N
     }
 
 
-def write_openvt(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
+def write_openvt(run: Result, frames: Frames, folder: Path) -> list[str]:
     """Write the tables of OpenVT into a folder and return the names of the files.
 
     Lengths are diameters of a newborn cell in ``openvt.csv`` and radii of one in the files of each
@@ -187,7 +185,7 @@ def _write_table(path: Path, rows: Sequence[Sequence[object]]) -> None:
         csv.writer(file).writerows(rows)
 
 
-def write_crate(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
+def write_crate(run: Result, frames: Frames, folder: Path) -> list[str]:
     """Copy the files of a run and describe them; return all names.
 
     Raises OutputError for a run that has no folder, or is not at its end.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -19,7 +18,7 @@ _SPHERE: Final = 1000.0  # what Simularium calls the type of an agent that is a 
 _LARGEST: Final = 50_000_000  # cells of all frames: the text has some 100 bytes for each
 
 
-def write_simularium(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
+def write_simularium(run: Result, frames: Frames, folder: Path) -> list[str]:
     """Write ``cells.simularium`` and return its name.
 
     Cells are spheres with their radii in µm, named by type and state; times are in s. Raises

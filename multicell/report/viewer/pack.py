@@ -426,7 +426,7 @@ def view_page(result: Result, **limits: int) -> str | None:
     return rendered("view.html", title=result.scene.title or "Untitled run", viewer=found)
 
 
-def write_view(run: Result, frames: Frames, folder: Path, tables: Sequence[str]) -> list[str]:
+def write_view(run: Result, frames: Frames, folder: Path) -> list[str]:
     """Write the view of all frames as one page and return its name."""
     page = view_page(run, max_cells=_PAGE_CELLS, max_bytes=_PAGE_BYTES)
     if page is None:
