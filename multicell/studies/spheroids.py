@@ -79,23 +79,14 @@ def spheroids(table: xr.Dataset, title: str, tissues: Sequence[Tissue], points: 
     if len(tissues) < points:
         subtitle += f": {len(tissues)} of {points:,} points"
     figure = style.blank(title, subtitle, (style.SIZE[0], high))
-    grid = figure.add_gridspec(
-        rows,
-        columns,
-        left=0.03,
-        right=0.97,
-        top=1.0 - (0.85 + words) / high,
-        bottom=0.45 / high,
-        wspace=0.08,
-        hspace=words / (0.92 * side),
-    )
-    for place, ((run, frame), shade) in enumerate(zip(tissues, shades, strict=True)):
-        axes = figure.add_subplot(grid[place])
+    edges = 0.03, 0.45 / high, 0.97, 1.0 - (0.85 + words) / high
+    gaps = 0.08, words / (0.92 * side)
+    grid = style.panel_grid(figure, len(tissues), columns, edges, gaps)
+    for axes, (run, frame), shade in zip(grid, tissues, shades, strict=True):
         above = f"{_point_words(run, table)}\n{cell_count(len(frame.cells))}".strip()
         axes.set_title(above, fontsize=9.5, weight="normal", pad=4)
         _draw_tissue(axes, frame, run.scene, shade, half)
-        if place == 0:
-            scale_bar(axes, np.zeros(3), half, size=9.0)
+    scale_bar(grid[0], np.zeros(3), half, size=9.0)
     figure.legend(
         handles=_legend(shades), loc="lower left", bbox_to_anchor=(0.025, 0.0), ncols=6, fontsize=10
     )

@@ -23,22 +23,16 @@ def compared(comparison: MeasuredComparison) -> Figure:
     """Draw each observable in a panel of its own: runs as lines, data as points with bars."""
     names = list(dict.fromkeys(datum.observable for datum in comparison.data))[:_MAX_PANELS]
     columns = min(len(names), _COLUMNS)
-    rows = -(-len(names) // columns)
     runs = len(comparison.runs)
     lines = "line: the run" if runs == 1 else f"lines: {runs} runs"
     subtitle = f"{lines}, points: data with their errors; {comparison.words}"
-    height = 2.0 + 4.0 * rows
+    height = 2.0 + 4.0 * -(-len(names) // columns)
     figure = style.blank(comparison.title, subtitle, (style.SIZE[0], height))
-    place = {"left": 0.09, "right": 0.97, "top": 1.0 - 1.3 / height, "bottom": 0.6 / height}
-    grid = figure.subplots(
-        rows, columns, squeeze=False, gridspec_kw={**place, "hspace": 0.35, "wspace": 0.22}
-    )
+    edges = 0.09, 0.6 / height, 0.97, 1.0 - 1.3 / height
+    grid = style.panel_grid(figure, len(names), columns, edges, (0.22, 0.35))
     last = max(float(history["time"][-1]) for history in comparison.histories)
     unit = time_unit(max([last, *(d.time or 0.0 for d in comparison.data)]))
-    panels = list(grid.ravel())
-    for axes in panels[len(names) :]:
-        axes.set_axis_off()
-    for axes, name in zip(panels, names, strict=False):
+    for axes, name in zip(grid, names, strict=True):
         _panel(axes, comparison, name, unit)
     return figure
 

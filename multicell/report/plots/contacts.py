@@ -41,8 +41,7 @@ def contacts(frames: Sequence[Frame], history: style.History, scene: Scene) -> F
     mixed = history["heterotypic_fraction"]
     change = f"heterotypic contacts {percent(mixed[0])} at first, {percent(mixed[-1])} at last"
     figure = style.headed(scene, f"After {unit.text(end)}: {change}")
-    place = {"left": 0.09, "right": 0.97, "top": 0.82, "bottom": 0.11, "hspace": 0.34}
-    upper, lower = figure.subplots(2, gridspec_kw=place)
+    upper, lower = style.panel_grid(figure, 2, 1, (0.09, 0.11, 0.97, 0.82), (0.0, 0.34))
     _draw_fraction(upper, frames, 100.0 * mixed, time, unit)
     style.draw_line(lower, time, history["contacts"], style.INK)
     lower.set_ylim(0.0, 1.12 * max(float(history["contacts"].max()), 1.0))

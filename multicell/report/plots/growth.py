@@ -50,8 +50,7 @@ def motion(history: style.History, scene: Scene) -> Figure:
     """Draw diameter and largest pressure against time, for cells that only move."""
     unit, time, subtitle = _course(history)
     figure = style.headed(scene, subtitle)
-    place = {"left": 0.1, "right": 0.97, "top": 0.82, "bottom": 0.11, "hspace": 0.32}
-    upper, lower = figure.subplots(2, gridspec_kw=place)
+    upper, lower = style.panel_grid(figure, 2, 1, (0.1, 0.11, 0.97, 0.82), (0.0, 0.32))
     size = history["diameter"]
     if not np.isfinite(size).all():
         _draw_count(upper, time, history["cells"])

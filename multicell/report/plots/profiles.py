@@ -31,18 +31,8 @@ def profiles(frame: Frame, scene: Scene) -> Figure:
     figure = style.headed(scene, f"{style.moment(frame)}: averages over {shells} about the centre")
     names = list(profile.concentrations)
     columns = 2 if len(names) > 1 else 1
-    panels = max(len(names), 1) + 1
-    grid = figure.add_gridspec(
-        -(-panels // columns),
-        columns,
-        left=0.1,
-        right=0.97,
-        top=0.79,
-        bottom=0.1,
-        wspace=0.24,
-        hspace=0.5,
-    )
-    *upper, last = (figure.add_subplot(grid[k]) for k in range(panels))
+    edges, panels = (0.1, 0.1, 0.97, 0.79), max(len(names), 1) + 1
+    *upper, last = style.panel_grid(figure, panels, columns, edges, (0.24, 0.5))
     for axes, name in zip(upper, names, strict=False):
         _draw_field(axes, frame, profile, name, scene)
     if not names:

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from multicell.behaviours.catalogue import behaviour_named, signal_unit
-from multicell.report.plots.style import INK, headed, styled, type_colours
+from multicell.report.plots.style import INK, headed, panel_grid, styled, type_colours
 from multicell.scene.responses import Effect, effects
 from multicell.scene.scene import Scene
 
@@ -33,12 +33,8 @@ def response_curves(scene: Scene) -> Figure:
         title += f" ({len(shown)} of {len(panels)})"
     figure = headed(scene, title)
     columns = min(len(shown), 3)
-    rows = -(-len(shown) // columns)
-    grid = figure.add_gridspec(
-        rows, columns, left=0.06, right=0.97, top=0.82, bottom=0.1, wspace=0.24, hspace=0.85
-    )
-    for place, ((behaviour, signal), parts) in enumerate(shown):
-        axes = figure.add_subplot(grid[place // columns, place % columns])
+    grid = panel_grid(figure, len(shown), columns, (0.06, 0.1, 0.97, 0.82), (0.24, 0.85))
+    for axes, ((behaviour, signal), parts) in zip(grid, shown, strict=True):
         _draw(axes, scene, behaviour, signal, parts)
     return figure
 

@@ -170,20 +170,10 @@ def field_maps(frame: Frame, scene: Scene) -> Figure:
         scene, f"{style.moment(frame)}: section through the centre, {2 * half:.0f} µm wide"
     )
     columns = max((len(shown) + 1) // 2, min(len(shown), 2))
-    grid = figure.add_gridspec(
-        -(-len(shown) // columns),
-        columns,
-        left=0.04,
-        right=0.93,
-        top=0.81,
-        bottom=0.06,
-        wspace=0.34,
-        hspace=0.26,
-    )
+    grid = style.panel_grid(figure, len(shown), columns, (0.04, 0.06, 0.93, 0.81), (0.34, 0.26))
     words = [style.type_label(name.replace("_", " "), 15).capitalize() for name in shown]
-    for k, name in enumerate(shown):
-        axes = figure.add_subplot(grid[k])
-        axes.set_title(f"{words[k]} (mM)")
+    for axes, name, word in zip(grid, shown, words, strict=True):
+        axes.set_title(f"{word} (mM)")
         frame_window(axes, middle, half)
         axes.grid(False)
         nutrient, field = scene.nutrients[name], frame.fields[name]

@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple, final
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
@@ -151,6 +152,24 @@ def blank(title: str, subtitle: str, size: tuple[float, float] = SIZE) -> Figure
 def headed(scene: Scene, subtitle: str) -> Figure:
     """Return an empty figure headed by the scene's title."""
     return blank(scene.title or "Untitled run", subtitle)
+
+
+def panel_grid(
+    figure: Figure,
+    count: int,
+    columns: int,
+    edges: tuple[float, float, float, float],
+    gaps: tuple[float, float],
+) -> list[Axes]:
+    """Return so many axes in rows of a number of columns.
+
+    - ``edges``: left, bottom, right and top of all, as parts of the figure
+    - ``gaps``: between columns and between rows, as parts of the mean width and height of the axes
+    """
+    place = dict(zip(("left", "bottom", "right", "top"), edges, strict=True))
+    place |= dict(zip(("wspace", "hspace"), gaps, strict=True))
+    grid = figure.add_gridspec(-(-count // columns), columns, **place)
+    return [figure.add_subplot(grid[k]) for k in range(count)]
 
 
 PICTURE_FORMATS: Final = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
