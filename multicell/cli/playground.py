@@ -162,20 +162,10 @@ class Playground:
             self._label(item, value) for item, value in zip(self.ranges, values, strict=True)
         )
         place = str(self._folder / str(number))
+        command = [sys.executable, "-m", "multicell", "run", str(file), "-o", place, *self._laws]
         with log.open("r+b") as said:
             self._worker = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-m",
-                    "multicell",
-                    "run",
-                    str(file),
-                    "-o",
-                    place,
-                    *self._laws,
-                    "--no-report",
-                    "--quiet",
-                ],
+                [*command, "--no-report", "--quiet"],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=said,

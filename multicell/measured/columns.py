@@ -30,7 +30,8 @@ ERRORS: Final = ("sd", "sem")
 NUMBER_KINDS: Final = ("time", "start", "depth", "value", *ERRORS, "n")
 """Kinds of columns that hold numbers."""
 _NO_CONDITIONS: Final = ("title", "seed")
-_ROW: Final = ("time", "start", "depth", "label", "specimen")
+_ROW: Final = {"time": "s", "start": "s", "depth": "um", "label": "", "specimen": ""}
+"""Base units of what is said of a row."""
 _TIMES: Final = {"day": "d", "days": "d", "hour": "h", "hours": "h"}
 """Units of times by titles without one."""
 _WORDS: Final = {
@@ -183,12 +184,10 @@ def _column(title: str, scene: Scene, table: str, before: Sequence[DataColumn]) 
         raise DataError(place, "is a column without a name")
     if title.endswith("/"):
         raise DataError(place, "has a '/' and no unit after it")
-    if name in ("time", "start", "depth"):
-        return _with_unit(name, name, unit, "um" if name == "depth" else "s", title, place)
+    if name in _ROW:
+        return _with_unit(name, name, unit, _ROW[name], title, place)
     if title.lower() in _TIMES:
         return DataColumn("time", "time", _TIMES[title.lower()], "s", title)
-    if name in ("label", "specimen"):
-        return _with_unit(name, name, unit, "", title, place)
     if name in (*ERRORS, "n"):  # of the values to its left, in their unit
         last = before[-1] if before else None
         if last is None or last.kind not in ("value", *ERRORS, "n"):
@@ -226,8 +225,7 @@ def _known_name(name: str, scene: Scene) -> str:
 
 def _parted(name: str, scene: Scene) -> tuple[str, str]:
     """Return name and unit of a title as multicell's own tables have them: ``diameter_um``."""
-    known = {"time": "s", "start": "s", "depth": "um", **depth_fields(scene)}
-    known |= in_history(scene) | at_the_end(scene)
+    known = _ROW | depth_fields(scene) | in_history(scene) | at_the_end(scene)
     for stem, base in () if name in known else known.items():
         unit = name.removeprefix(f"{stem}_")
         if base and unit != name and unit_factor(unit.replace("_per_", "/"), base) is not None:

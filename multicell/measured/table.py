@@ -68,7 +68,7 @@ def read_measurements(
     table = _in_hours(table)
     used = {like(title) for title in chosen}
     kept = [k for k, title in enumerate(table.titles) if like(title) not in used]
-    return table if len(kept) == len(table.titles) else _some_columns(table, kept)
+    return _some_columns(table, kept)
 
 
 def _from_file(path: Path, sheet: str) -> tuple[Table, list[str]]:
@@ -104,7 +104,7 @@ def _without_index(table: Table) -> Table:
         )
         if title or not (counts or not any(fields)):
             kept.append(place)
-    return table if len(kept) == len(table.titles) else _some_columns(table, kept)
+    return _some_columns(table, kept)
 
 
 def _some_columns(table: Table, places: Sequence[int]) -> Table:

@@ -122,7 +122,11 @@ def addresses(network: Network) -> Addresses:
         except Exception as error:
             if not type(error).__module__.startswith("numba."):
                 raise
-            raise SceneError(f"networks.{network.name}", *_refusal(function, error)) from None
+            words = " ".join(str(error).split("\n\n")[0].split())[:400]
+            named = getattr(function, "__name__", "a function")
+            problem = f"numba cannot compile {named!r}: {words}"
+            hint = "Arithmetic on floats and arrays, math and NumPy functions are what it may use."
+            raise SceneError(f"networks.{network.name}", problem, hint) from None
 
     events = network.events
     return Addresses(
@@ -136,10 +140,3 @@ def addresses(network: Network) -> Addresses:
 
 CALLED_ROWS: Final = 5
 """Rows that each function at an address is given; some of them read fewer."""
-
-
-def _refusal(function: Callable[..., Any], error: Exception) -> tuple[str, str]:
-    name = getattr(function, "__name__", "a function")
-    words = " ".join(str(error).split("\n\n")[0].split())[:400]
-    hint = "Arithmetic on floats and arrays, math and NumPy functions are what it may use."
-    return f"numba cannot compile {name!r}: {words}", hint

@@ -57,18 +57,14 @@ class Key:
             except SceneError as error:
                 raise SceneError(self.name, error.problem, error.hint) from None
         if self.spec.kind == "variant":
-            return self._word(value)
+            parts: Any = self.spec.parts
+            return chosen(value, parts, self.name, getattr(parts, "hint", None))
         given = in_concentrations(value, tuple(self.name.split(".")), self.scene.nutrients)
         if self.spec.kind in _NUMBERS:
             last = self.name.rpartition(".")[2]
             table = self.spec.convert({last: given}, self.name.rpartition(".")[0])
             return self.spec.plain(table)[last]
         return self.spec.plain(self.spec.convert(given, self.name))
-
-    def _word(self, value: Any) -> str:
-        """Return the name of a part, such as that of a contact law."""
-        assert self.spec.parts is not None
-        return chosen(value, self.spec.parts, self.name, getattr(self.spec.parts, "hint", None))
 
 
 def key_of(scene: Scene, name: str) -> Key:

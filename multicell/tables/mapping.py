@@ -68,8 +68,7 @@ class ColumnMap:
 
     def length(self, unit: str, place: str) -> tuple[float, str]:
         """Return size and unit of what may be a power of a pixel or a slice."""
-        names = {"pixel": "pixel", "pixel^2": "pixel", "pixel^3": "pixel", "slice": "slice"}
-        if unit not in names:
+        if unit not in ("pixel", "pixel^2", "pixel^3", "slice"):
             return 1.0, unit
         across = self._size("pixel", place)
         if unit in ("pixel", "pixel^2"):
