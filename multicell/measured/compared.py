@@ -151,7 +151,7 @@ def compare_runs(
     measured = read_data(table, open_end, sd=sd, specimens=specimens)
     data, notes = _of_scene(measured, open_end)
     values = np.array([[_value(datum, *run) for datum in data] for run in runs])
-    known = np.isfinite(_scaled(data, values)).all(axis=0)
+    known = np.asarray(np.isfinite(_scaled(data, values)).all(axis=0))
     if not known.any():
         problem = "has nothing to compare: no run has a value at the times of the data"
         raise DataError(measured.source, problem, "Times count from the start of the run.")

@@ -160,7 +160,7 @@ def _rows(table: Table, where: Mapping[str, str]) -> Table:
     """Return the rows that have certain values."""
     _refuse_one_of_several(table, where)
     chosen = rows_where(_columns(table), where, table.name)
-    rows, places = (tuple(compress(part, chosen)) for part in (table.rows, table.places))
+    rows, places = tuple(compress(table.rows, chosen)), tuple(compress(table.places, chosen))
     said = f"{len(rows):,} of {len(table.rows):,} rows"
     return replace(table, rows=rows, places=places, said=_joined(table, said))
 

@@ -15,6 +15,7 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
@@ -168,18 +169,16 @@ def _thin(frame: Frame, most: int) -> Frame:
 
 
 def _groups(frame: Frame) -> dict[str, list[int]]:
-    columns = {"state": frame.cells.state, "type": frame.cells.kind, "phase": frame.cells.phase}
-    return {name: np.bincount(column).tolist() for name, column in columns.items()}
+    cells = frame.cells
+    of: dict[str, NDArray[Any]] = {"state": cells.state, "type": cells.kind, "phase": cells.phase}
+    return {name: np.bincount(column).tolist() for name, column in of.items()}
 
 
 def _columns(result: Result, frames: Sequence[Frame]) -> list[PackedColumn]:
     scene, lineage = result.scene, result.lineage
     columns = [
         PackedColumn("id", "", "u4", lambda f: f.cells.id, title="cell"),
-        *(
-            PackedColumn(x, "µm", "u2", lambda f, k=k: f.cells.position[:, k])
-            for k, x in enumerate("xyz")
-        ),
+        *(PackedColumn(x, "µm", "u2", partial(_axis, k)) for k, x in enumerate("xyz")),
         PackedColumn("radius", "µm", "u1", lambda f: f.cells.radius),
         PackedColumn("state", "", "u1", lambda f: f.cells.state, NAMED["state"]),
     ]
@@ -198,13 +197,19 @@ def _columns(result: Result, frames: Sequence[Frame]) -> list[PackedColumn]:
     for name in scene.nutrients:
         if all(name in frame.concentrations for frame in frames):
             unit = written(unit_of(f"cells.concentration_{name}"))
-            columns.append(
-                PackedColumn(name, unit, "u1", lambda f, name=name: f.concentrations[name])
-            )
+            columns.append(PackedColumn(name, unit, "u1", partial(_entry, "concentrations", name)))
     for name in frames[-1].inside:
         if all(name in frame.inside for frame in frames):
-            columns.append(PackedColumn(name, "", "u1", lambda f, name=name: f.inside[name]))
+            columns.append(PackedColumn(name, "", "u1", partial(_entry, "inside", name)))
     return columns
+
+
+def _axis(k: int, frame: Frame) -> NDArray[Any]:
+    return frame.cells.position[:, k]
+
+
+def _entry(table: str, name: str, frame: Frame) -> Any:
+    return getattr(frame, table)[name]
 
 
 def _clone_numbers(
