@@ -40,7 +40,7 @@ _comparing = shared.grouped(
         "--methods",
         metavar="NAMES",
         callback=_names,
-        **shared.listed_names(shared.known_methods),
+        **shared.offering(shared.known_methods, several=True),
         help="Methods to compare, separated by commas; by default all that can run the scene. "
         "One of your own is named as mine.py:Midpoint.",
     ),

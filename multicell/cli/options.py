@@ -25,26 +25,18 @@ Option = Callable[[Any], Any]  # a decorator of click
 valued = partial(click.option, show_default=True)
 
 
-def offering(names: Callable[[], Iterable[str]]) -> dict[str, Any]:
-    """Return how an argument or option is completed in a shell: by names, or by files."""
+def offering(names: Callable[[], Iterable[str]], *, several: bool = False) -> dict[str, Any]:
+    """Return how an argument or option is completed in a shell: by names, or by files.
+
+    - ``several``: whether it takes more than one name, separated by commas
+    """
 
     def complete(_: click.Context, __: click.Parameter, begun: str) -> list[Any]:
         from click.shell_completion import CompletionItem
 
-        found = [CompletionItem(name) for name in names() if name.startswith(begun)]
+        before, comma, last = begun.rpartition(",") if several else ("", "", begun)
+        found = [CompletionItem(f"{before}{comma}{n}") for n in names() if n.startswith(last)]
         return found or [CompletionItem(begun, type="file")]
-
-    return {"shell_complete": complete}
-
-
-def listed_names(names: Callable[[], Iterable[str]]) -> dict[str, Any]:
-    """Return how an option is completed that takes several names, separated by commas."""
-
-    def complete(_: click.Context, __: click.Parameter, begun: str) -> list[Any]:
-        from click.shell_completion import CompletionItem
-
-        before, comma, last = begun.rpartition(",")
-        return [CompletionItem(f"{before}{comma}{n}") for n in names() if n.startswith(last)]
 
     return {"shell_complete": complete}
 
