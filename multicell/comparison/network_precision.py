@@ -29,8 +29,7 @@ from multicell.comparison.network_steps import (
     which_network,
 )
 from multicell.comparison.norms import Norm
-from multicell.comparison.numbers import COMPARISON_FILES, NUMBERS_FILE
-from multicell.comparison.precision import Precision
+from multicell.comparison.precision import COMPARISON_FILES, NUMBERS_FILE, Precision
 from multicell.comparison.record import SAMPLES, sample_size
 from multicell.errors import SceneError
 from multicell.integrators.base import MethodInfo

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from multicell.comparison.base import Row
-    from multicell.comparison.stability_limits.numbers import TrialTable
+    from multicell.comparison.stability_limits.result import StabilityMap
 
 CAPTION: Final = (
     "Outcome at each step or tolerance. Each dot is one trial; a bar is the limit in theory."
@@ -38,7 +38,7 @@ _OVERHANG: Final = 1.35  # of the first and last strip beyond its setting
 
 
 @styled
-def stability_map(result: TrialTable) -> Figure:
+def stability_map(result: StabilityMap) -> Figure:
     """Draw one strip for each method, coloured by what happens at each step or tolerance."""
     first = result.table[0]
     figure = blank(
@@ -108,7 +108,7 @@ def _draw_strips(axes: Axes, strips: Mapping[str, Sequence[Row]], scale: float) 
     axes.tick_params(axis="y", length=0)
 
 
-def stability_context(result: TrialTable) -> dict[str, Any]:
+def stability_context(result: StabilityMap) -> dict[str, Any]:
     """Return the fields of ``stability.html``."""
     first = result.table[0]
     failures = sum(row["kind"] != STABLE for row in result.table)

@@ -25,7 +25,7 @@ from multicell.report.wording import clock
 
 if TYPE_CHECKING:
     from multicell.comparison.base import Row
-    from multicell.comparison.stability_limits.failure_table import FailureTable
+    from multicell.comparison.stability_limits.failure_map import FailureMap
 
 END_LETTERS: Final = {
     STABLE: "",
@@ -45,7 +45,7 @@ _COLOURS: Final = ("#e3f1ea", "#b5dcc8", "#fff2cc", "#f3b25b", "#b3361e")
 
 
 @styled
-def failure_figure(result: FailureTable) -> Figure:
+def failure_figure(result: FailureMap) -> Figure:
     """Draw a line of squares for each method and state, one square a setting."""
     methods, states = result.methods, result.states
     tall = max(0.3 * len(methods) + 3.1, 4.3)
@@ -74,13 +74,13 @@ def failure_figure(result: FailureTable) -> Figure:
     return figure
 
 
-def _title(result: FailureTable, state: str) -> str:
+def _title(result: FailureMap, state: str) -> str:
     null = [row["null_ratio"] for row in result.with_values(state=state)]
     place = state.replace(" at ", "\nat ")
     return f"{place}\nnull: {max(null):.2g}"
 
 
-def _draw_state(axes: Any, result: FailureTable, state: str) -> None:
+def _draw_state(axes: Any, result: FailureMap, state: str) -> None:
     """Draw the squares of one state."""
     most = max(len(result.with_values(state=state, method=m)) for m in result.methods)
     levels = np.full((len(result.methods), most), math.nan)
@@ -103,7 +103,7 @@ def _level(row: Row) -> int:
     return len(_LEVELS) if math.isnan(ratio) else int(np.searchsorted(_LEVELS, ratio))
 
 
-def failure_context(result: FailureTable) -> dict[str, Any]:
+def failure_context(result: FailureMap) -> dict[str, Any]:
     """Return the fields of ``failures.html``."""
     return {
         "title": "How methods end coupling steps of real runs",

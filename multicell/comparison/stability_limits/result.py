@@ -1,18 +1,58 @@
-"""The result of a study of stability: its table, with the map and the page."""
+"""The result of a study of stability: its trials and limits, with the map and the page."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, final
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Final, final
 
-from multicell.comparison.base import Pictures
-from multicell.comparison.stability_limits.numbers import TrialTable
+from multicell.comparison.base import Comparison, Pictures, Row
+from multicell.comparison.stability_limits.trial import STABLE, TRIAL_ENDS
+from multicell.scene.scene import Scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+STABILITY_FILES: Final = (
+    "stability.csv",
+    "limits.csv",
+    "moments.csv",
+    "stability.png",
+    "report.html",
+)
+"""What a study of stability writes into its folder; only of networks there is ``moments.csv``."""
+
 
 @final
-class StabilityMap(TrialTable):
+@dataclass(frozen=True)
+class StabilityWords:
+    """Words of a map of stability.
+
+    - ``ends``: kind of end of a trial -> its meaning
+    - ``tolerance``: what a tolerance is; ``subtitle``, ``note``: of the page
+    """
+
+    ends: Mapping[str, str]
+    tolerance: str
+    subtitle: str
+    note: str
+
+
+OF_CELLS: Final = StabilityWords(
+    ends=TRIAL_ENDS,
+    tolerance="tolerance / mean radius",
+    subtitle="The cells settle, are pushed a little along their stiffest mode, and must come to "
+    "rest again.",
+    note="Of a method under error control the loosest tolerance in mean radii is given, and its "
+    "mean step there over Euler's limit.",
+)
+"""Words of the map of methods for positions."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class StabilityMap(Comparison):
     """Outcome of each method at each setting that was tried.
 
     Attributes
@@ -32,6 +72,58 @@ class StabilityMap(TrialTable):
     """
 
     template: ClassVar[str] = "stability.html"
+
+    scene: Scene
+    table: list[Row]
+    facts: dict[str, Any]
+    words: StabilityWords = OF_CELLS
+
+    @property
+    def kinds(self) -> list[str]:
+        """The kinds that were seen, in the order of :data:`TRIAL_ENDS`."""
+        return [kind for kind in TRIAL_ENDS if kind in self.column("kind")]
+
+    def rows(self, method: str) -> list[Row]:
+        """Return the trials of a method, from small to large settings."""
+        return self.with_values(method=method)
+
+    def limits(self) -> list[Row]:
+        """Return the limit of each method.
+
+        Returns
+        -------
+        list of dict
+            ``rate``, ``method``, ``control``, ``limit`` (largest setting that is stable
+            with all smaller ones that were tried; NaN if none is), ``beyond`` (smallest that is
+            not; infinite if all are stable), ``theory``, ``of_theory``, ``of_euler`` (mean step at
+            the limit over 2/λ_max), ``kind`` (of the failure at ``beyond``, or ``"stable"``),
+            ``kinds`` (of all failures, from small to large settings).
+        """
+        return [self.limit(method) for method in self.methods]
+
+    def limit(self, method: str) -> Row:
+        """Return the limit of one method."""
+        rows = self.rows(method)
+        first = next((k for k, row in enumerate(rows) if row["kind"] != STABLE), len(rows))
+        failed = first < len(rows)
+        last = rows[first - 1] if first else None
+        return {
+            **{name: rows[0][name] for name in ("rate", "method", "control")},
+            "limit": last["setting"] if last else math.nan,
+            "beyond": rows[first]["setting"] if failed else math.inf,
+            "theory": rows[0]["theory"],
+            "of_theory": last["of_theory"] if last else math.nan,
+            "of_euler": last["of_euler"] if last else math.nan,
+            "kind": rows[first]["kind"] if failed else STABLE,
+            "kinds": "; ".join(dict.fromkeys(r["kind"] for r in rows if r["kind"] != STABLE)),
+        }
+
+    def tables(self) -> Mapping[str, Sequence[Row]]:
+        """Return all trials, and the limits."""
+        found = {"stability.csv": self.table, "limits.csv": self.limits()}
+        if "moments" in self.facts:
+            found["moments.csv"] = self.facts["moments"]
+        return found
 
     def figure(self) -> Figure:
         """Draw how each method goes over its step or tolerance."""

@@ -12,8 +12,7 @@ from multicell.comparison.base import Row
 from multicell.comparison.ladders import Method, capable_methods, select_methods
 from multicell.comparison.measured import Measurements, open_measurements
 from multicell.comparison.replay import solve_compiled
-from multicell.comparison.stability_limits.numbers import STABILITY_FILES
-from multicell.comparison.stability_limits.result import StabilityMap
+from multicell.comparison.stability_limits.result import STABILITY_FILES, StabilityMap
 from multicell.comparison.stability_limits.state import TrialState, settled_state
 from multicell.comparison.stability_limits.trial import STABLE, judge, run_trial
 from multicell.integrators.base import Integrator
