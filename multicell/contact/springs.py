@@ -106,7 +106,6 @@ class Spring(PairLaw):
 
     stiffness_at_rest: float
     cutoff: float
-    _constants: ClassVar[Any]
 
     def constants(self) -> Any:
         """Return the parameters as the law's function takes them."""
@@ -122,10 +121,6 @@ class Spring(PairLaw):
     def scaled_by_pairs(self) -> ScaledAttraction | None:
         """Return a law whose attraction is in proportion to a factor of each pair of types."""
         return None if self.cutoff == 1.0 else ScaledAttraction(self, _at_rest)
-
-    def equilibrium_overlap(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
-        """Return zero: the pair rests at s (µm)."""
-        return np.zeros(np.broadcast_shapes(np.shape(modulus), np.shape(radius)))
 
     def list_radius(self, radius: FloatArray, modulus: float) -> FloatArray:
         """Return the radii times the cutoff, (n,) µm."""
