@@ -26,7 +26,7 @@ from multicell.scene.scales import (
     touches_medium,
 )
 from multicell.scene.sizes import division_radius, internal_step, radius_scales
-from multicell.schema import leaves, near_miss, separated
+from multicell.schema import below, leaves, near_miss, separated
 
 if TYPE_CHECKING:
     from multicell.scene.parts import CellType
@@ -288,11 +288,8 @@ def _check_beginning(scene: Scene, name: str, path: str, nutrient: Nutrient) -> 
         hint = "Let the field be 'transient'."
         raise SceneError(f"{path}.{given[0]}", "has no effect: the field is steady", hint)
     if nutrient.initial_file is not None:
-        try:
+        with below(f"{path}.initial_file"):
             _check_initial_file(scene, name)
-        except SceneError as error:
-            whole = f"{path}.initial_file.{error.path}"
-            raise SceneError(whole, error.problem, error.hint) from None
     for key, release in nutrient.release.items():
         if release.type:
             check_names([release.type], scene.types, f"{path}.release.{key}.type", "a type")

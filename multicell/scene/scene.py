@@ -40,9 +40,9 @@ from multicell.scene.conditions import conditions
 from multicell.scene.domain import check_domain
 from multicell.scene.driven import PrescribedMotion, check_driven
 from multicell.scene.energy import Energy, check_energy
-from multicell.scene.initial_copies import place_initial_files
-from multicell.scene.networks import CellNetwork, check_networks, place_networks
+from multicell.scene.networks import CellNetwork, check_networks
 from multicell.scene.nutrient import Nutrient
+from multicell.scene.own_files import place_files
 from multicell.scene.own_units import enter_units
 from multicell.scene.oxygen import in_concentrations
 from multicell.scene.parts import (
@@ -72,7 +72,7 @@ from multicell.scene.responses import (
     largest_factor,
     relevant_fields,
 )
-from multicell.scene.start_table import Initial, place_table
+from multicell.scene.start_table import Initial
 from multicell.schema import (
     build_part,
     count,
@@ -422,18 +422,12 @@ def load_scene(source: str | Path) -> Scene:
     except ValueError as error:  # also integers of thousands of digits
         problem = f"{str(source)!r} is not valid TOML: {error}"
         raise SceneError("", problem, _toml_hint(content, error)) from None
-    scene = Scene.from_dict(place_files(entries, source))
+    built_in = isinstance(source, str) and source in scene_names()
+    file = _built_in(str(source)) if built_in else source
+    scene = Scene.from_dict(place_files(entries, file))
     if not content.startswith(_WRITTEN):  # whose numbers are those of its author
         note_written(scene, entries, typed=True)
     return scene
-
-
-def place_files(entries: dict[str, Any], source: str | Path) -> dict[str, Any]:
-    """Return the entries of a scene file with the paths of the files that it names made whole."""
-    if isinstance(source, str) and source in scene_names():
-        source = _built_in(source)
-    placed = place_networks(place_table(entries, source), source)
-    return place_initial_files(placed, source)
 
 
 def _as_changes(changes: object) -> dict[str, Any]:

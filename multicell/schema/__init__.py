@@ -39,6 +39,7 @@ from multicell.schema.declarations import vector as vector
 from multicell.schema.declarations import whole_numbers as whole_numbers
 from multicell.schema.part import Parameter as Parameter
 from multicell.schema.part import Tables as Tables
+from multicell.schema.part import below as below
 from multicell.schema.part import build_part as build_part
 from multicell.schema.part import chosen as chosen
 from multicell.schema.part import leaves as leaves
