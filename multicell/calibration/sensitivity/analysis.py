@@ -17,10 +17,15 @@ from multicell.calibration.sensitivity.indices import (
     sensitivity_indices,
 )
 from multicell.calibration.sensitivity.plan import SensitivityPlan
-from multicell.calibration.sensitivity.result import Sensitivity, SobolIndices
+from multicell.calibration.sensitivity.result import (
+    Row,
+    Sensitivity,
+    SobolIndices,
+    failure_notes,
+    index_rows,
+)
 from multicell.calibration.sensitivity.sobol import sobol_result, sobol_sample
 from multicell.host.extras import needs
-from multicell.results.quantities import known_unit
 from multicell.scene.scene import load_scene
 from multicell.schema import chosen
 from multicell.studies.axes import Range, check_ranges, parse_ranges
@@ -190,21 +195,10 @@ def sample_sensitivity(
     size = len(next(iter(values.values()))) // (len(names) + 1)
     shares = sample(names, size)
     found = {name: sensitivity_indices(names, shares, known) for name, known in values.items()}
-    table = [
-        {
-            "observable": name,
-            "unit": known_unit(name),
-            "parameter": free.name,
-            "key": free.key,
-            "low": free.low,
-            "high": free.high,
-            "parameter_unit": free.unit,
-            **{n: float(analysis.columns[n][k]) for n in INDEX_COLUMNS},
-            "verdict": analysis.verdicts[k],
-        }
-        for name, analysis in found.items()
-        for k, free in enumerate(ranges)
-    ]
+    table: list[Row] = []
+    for name, analysis in found.items():
+        columns = {column: analysis.columns[column].tolist() for column in INDEX_COLUMNS}
+        table += index_rows(name, ranges, {**columns, "verdict": analysis.verdicts})
     notes = _notes(size, seeds, found, failures)
     return Sensitivity(scene, tuple(ranges), size, tuple(seeds), table, notes, failures)
 
@@ -213,10 +207,7 @@ def _notes(
     size: int, seeds: Sequence[int], found: Mapping[str, Analysis], failures: Mapping[str, str]
 ) -> list[str]:
     """Return notes for readers of the result."""
-    notes = []
-    if failures:
-        reason = next(iter(failures.values()))
-        notes.append(f"{len(failures)} runs failed, the first one: {reason}")
+    notes = failure_notes(failures)
     for name, analysis in found.items():
         if analysis.used < 2:
             notes.append(

@@ -24,6 +24,33 @@ if TYPE_CHECKING:
 Row = dict[str, Any]  # one row of a table: column -> value
 
 
+def index_rows(
+    observable: str, ranges: Sequence[Range], columns: Mapping[str, Sequence[Any]]
+) -> list[Row]:
+    """Return a row for each parameter, with its entries of the columns, (parameters,) each."""
+    return [
+        {
+            "observable": observable,
+            "unit": known_unit(observable),
+            "parameter": free.name,
+            "key": free.key,
+            "low": free.low,
+            "high": free.high,
+            "parameter_unit": free.unit,
+            **{name: entries[k] for name, entries in columns.items()},
+        }
+        for k, free in enumerate(ranges)
+    ]
+
+
+def failure_notes(failures: Mapping[str, str]) -> list[str]:
+    """Return the note on runs that failed, name -> reason; none where there are none."""
+    return [
+        f"{len(failures)} runs failed, the first one: {reason}"
+        for reason in list(failures.values())[:1]
+    ]
+
+
 @dataclass(frozen=True, eq=False)
 class IndexTable:
     """Indices of each observable and parameter, and the sample that they come from."""

@@ -16,15 +16,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from multicell.calibration.sensitivity.indices import unit_cube
-from multicell.calibration.sensitivity.result import SobolIndices
+from multicell.calibration.sensitivity.result import Row, SobolIndices, failure_notes, index_rows
 from multicell.calibration.shared.confidence import LEVEL
 from multicell.errors import SceneError
-from multicell.results.quantities import known_unit
 from multicell.units import shown
 
 if TYPE_CHECKING:
@@ -91,30 +90,16 @@ def sobol_result(
 ) -> SobolIndices:
     """Return the indices of whatever has values at the points of a plan's sample."""
     names = [free.name for free in plan.ranges]
-    table: list[dict[str, Any]] = []
-    notes = []
-    if failures:
-        reason = next(iter(failures.values()))
-        notes.append(f"{len(failures)} runs failed, the first one: {reason}")
-    for name, column in values.items():
-        found, used = sobol_indices(names, column)
+    table: list[Row] = []
+    notes = failure_notes(failures)
+    for name, known in values.items():
+        found, used = sobol_indices(names, known)
         if used < plan.size:
             notes.append(f"{name}: {plan.size - used} of {plan.size} points lack a run")
         if np.isnan(found["ST"]).all():
             notes.append(f"{name} does not vary, or has too few points: no index is known")
-        table += [
-            {
-                "observable": name,
-                "unit": known_unit(name),
-                "parameter": free.name,
-                "key": free.key,
-                "low": free.low,
-                "high": free.high,
-                "parameter_unit": free.unit,
-                **{column: float(found[column][k]) for column in COLUMNS_SOBOL},
-            }
-            for k, free in enumerate(plan.ranges)
-        ]
+        columns = {column: found[column].tolist() for column in COLUMNS_SOBOL}
+        table += index_rows(name, plan.ranges, columns)
     if len(plan.seeds) == 1:
         notes.append("one seed: the part of the noise is unknown; take at least two")
     return SobolIndices(plan.scene, plan.ranges, plan.size, plan.seeds, table, notes, failures)
