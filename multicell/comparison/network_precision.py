@@ -13,7 +13,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.comparison.base import CLOCKS, FAILED, SKIPPED, SOLVED, Row
 from multicell.comparison.ladders import SMALLEST_TOLERANCE
-from multicell.comparison.measure import default_budget, solve_times
+from multicell.comparison.measure import default_budget, solve_row, solve_times
 from multicell.comparison.measured import Measurements, open_measurements
 from multicell.comparison.network_reference import (
     NetworkReference,
@@ -297,18 +297,10 @@ class _Climber:
         )
 
     def _row(self, setting: float, status: str, **known: Any) -> Row:
-        """Return a row of the table; what is not known is NaN."""
-        first = {
-            "method": self.method.name,
-            "control": "step" if self.method.fixed else "tolerance",
-            "setting": setting,
-            "status": status,
-            "words": "",
-        }
-        columns = [*solve_times([(0.0, 0.0)]), "spent", *(f"error_{x}" for x in NETWORK_NORMS)]
-        unknown = dict.fromkeys([*columns, "cost", *_COUNTS], math.nan)
-        mode = f"{len(self.problem.steps)} of {self.problem.total} coupling steps"
-        return {**first, **unknown, **known, "mode": mode}
+        control = "step" if self.method.fixed else "tolerance"
+        columns = *(f"error_{norm}" for norm in NETWORK_NORMS), "cost", *_COUNTS
+        mode = self.problem.mode
+        return solve_row(self.method.name, control, setting, status, columns, mode, **known)
 
 
 def _norms(errors: list[FloatArray]) -> dict[str, float]:
@@ -322,7 +314,7 @@ def _facts(problem: NetworkProblem, exact: NetworkReference, named: list[str]) -
     return {
         "network": problem.part.name,
         "cells": problem.cells,
-        "mode": f"{len(problem.steps)} of {problem.total} coupling steps",
+        "mode": problem.mode,
         "stepwise": len(problem.steps),
         "coupling_steps": len(problem.steps),
         "time": problem.span,

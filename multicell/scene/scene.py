@@ -312,7 +312,10 @@ class Scene:
         SceneError
             For a key that does not exist and for any value that is refused.
         """
-        changes = {**_as_changes(changes), **_nested(keys, self.to_dict() if keys else {})}
+        if not isinstance(changes, Mapping | None):
+            hint = "For example with_changes(duration='8 d') or with_changes({'duration': '8 d'})."
+            raise SceneError("changes", f"are {shown(changes)}, must be keys with values", hint)
+        changes = {**(changes or {}), **_nested(keys, self.to_dict() if keys else {})}
         changed = {str(key).partition(".")[0] for key in changes}
         # the other parts are checked already; an unknown key is looked for in all
         entries = part_as_dict(self, changed if changed <= specs(Scene).keys() else None)
@@ -428,15 +431,6 @@ def load_scene(source: str | Path) -> Scene:
     if not content.startswith(_WRITTEN):  # whose numbers are those of its author
         note_written(scene, entries, typed=True)
     return scene
-
-
-def _as_changes(changes: object) -> dict[str, Any]:
-    if changes is None:
-        return {}
-    if not isinstance(changes, Mapping):
-        hint = "For example with_changes(duration='8 d') or with_changes({'duration': '8 d'})."
-        raise SceneError("changes", f"are {shown(changes)}, must be keys with values", hint)
-    return dict(changes)
 
 
 def _nested(keys: Mapping[str, Any], entries: Mapping[str, Any], path: str = "") -> dict[str, Any]:

@@ -24,7 +24,6 @@ from multicell.report.plots.style import INK, blank, styled
 from multicell.report.wording import clock
 
 if TYPE_CHECKING:
-    from multicell.comparison.base import Row
     from multicell.comparison.stability_limits.failure_map import FailureMap
 
 END_LETTERS: Final = {
@@ -62,7 +61,6 @@ def failure_figure(result: FailureMap) -> Figure:
         )
         _draw_state(axes, result, state)
         axes.set_yticks(range(len(methods)), methods if k == 0 else [""] * len(methods))
-        axes.set_title(_title(result, state), fontsize=9.5)
     edges = [f"{level:g}" for level in _LEVELS]
     names = [f"up to {edges[0]}", *(f"to {e}" for e in edges[1:]), f"above {edges[-1]}"]
     handles = [Patch(color=c, label=name) for c, name in zip(_COLOURS, names, strict=True)]
@@ -74,19 +72,15 @@ def failure_figure(result: FailureMap) -> Figure:
     return figure
 
 
-def _title(result: FailureMap, state: str) -> str:
-    null = [row["null_ratio"] for row in result.with_values(state=state)]
-    place = state.replace(" at ", "\nat ")
-    return f"{place}\nnull: {max(null):.2g}"
-
-
 def _draw_state(axes: Any, result: FailureMap, state: str) -> None:
-    """Draw the squares of one state."""
+    """Draw the squares of one state; of a failure without an end they have the last colour."""
+    null = max(row["null_ratio"] for row in result.with_values(state=state))
+    axes.set_title("\nat ".join(state.split(" at ")) + f"\nnull: {null:.2g}", fontsize=9.5)
     most = max(len(result.with_values(state=state, method=m)) for m in result.methods)
     levels = np.full((len(result.methods), most), math.nan)
     for line, method in enumerate(result.methods):
         for place, row in enumerate(result.with_values(state=state, method=method)):
-            levels[line, place] = _level(row)
+            levels[line, place] = np.searchsorted(_LEVELS, row["ratio"])  # NaN comes last
             letter = END_LETTERS[row["kind"]]
             dark = levels[line, place] >= len(_LEVELS)
             colour = "white" if dark else INK
@@ -95,12 +89,6 @@ def _draw_state(axes: Any, result: FailureMap, state: str) -> None:
     axes.set_xticks([0, most - 1], ["fine", "coarse"], fontsize=9.5)
     axes.grid(visible=False)
     axes.tick_params(length=0)
-
-
-def _level(row: Row) -> int:
-    """Return the number of the colour of a trial: that of a failure without an end is the last."""
-    ratio = row["ratio"]
-    return len(_LEVELS) if math.isnan(ratio) else int(np.searchsorted(_LEVELS, ratio))
 
 
 def failure_context(result: FailureMap) -> dict[str, Any]:
