@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any, ClassVar, Final, NamedTuple, final
@@ -59,7 +58,6 @@ FIELD_NORMS: Final[dict[str, Norm]] = {
 
 
 @final
-@dataclass(frozen=True, eq=False)
 class FieldPrecision(Precision):
     """Error and time of each solver on the fields of a coupling step.
 
@@ -181,7 +179,7 @@ def compare_fields(
                 times.append((again.wall, again.cpu))
                 row.update(solve_times(times))
         facts = _facts(step, exact, [] if methods is None else chosen)
-        result = FieldPrecision(described, table, exact.errors, facts, clock)
+        result = FieldPrecision(described, table, facts, exact.errors, clock)
         if output is not None:
             result.save(output)
     return result

@@ -84,7 +84,6 @@ NETWORK_NORMS: Final = {
 
 
 @final
-@dataclass(frozen=True, eq=False)
 class NetworkPrecision(Precision):
     """Error and cost of each method of a network.
 
@@ -217,7 +216,7 @@ def compare_networks(
             for point in points:
                 point.time(problem)
         facts = _facts(problem, exact, [] if methods is None else asked)
-        result = NetworkPrecision(described, table, _norms(exact.errors), facts, clock)
+        result = NetworkPrecision(described, table, facts, _norms(exact.errors), clock)
         if output is not None:
             result.save(output)
     return result

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar, Final, final
 
 from multicell.comparison.norms import NORMS, Norm, described
@@ -33,7 +32,6 @@ _COLUMNS: Final = {
 
 
 @final
-@dataclass(frozen=True, eq=False)
 class WorkPrecision(Precision):
     """Error and cost of each method.
 
@@ -54,10 +52,10 @@ class WorkPrecision(Precision):
         (evaluations, with linearisations and Jacobian products by their weights), the counts of
         :class:`multicell.mechanics.motion.Work`, and ``mode`` (``"whole run"``, or how many of the
         coupling steps were compared one by one). What a failed or skipped solve lacks is NaN.
-    uncertainty : norm -> float
-        Of the reference: an error is known no better than this.
     facts : dict
         About the problem and the reference.
+    uncertainty : norm -> float
+        Of the reference: an error is known no better than this.
     clock : "wall" or "cpu"
         The time that judges.
     conditioning : Conditioning or None

@@ -473,11 +473,6 @@ _SHARED = (
 """Keys of fields that are the same for all that react with each other, as grid and geometry are."""
 
 
-def check_reactions(scene: Scene) -> None:
-    """Raise ``SceneError`` for reactions that do not fit the fields of the scene."""
-    _check_groups(scene, scene.reactions)
-
-
 def check_own(scene: Scene, reactions: Mapping[str, Any]) -> None:
     """Raise ``SceneError`` for reactions of the user's own that do not fit the scene's fields."""
     for name, reaction in reactions.items():
@@ -488,10 +483,11 @@ def check_own(scene: Scene, reactions: Mapping[str, Any]) -> None:
             if field not in scene.nutrients:
                 problem = f"depends on {field}, which is not {FIELD_HINT}"
                 raise SceneError(path, problem, near_miss(field, scene.nutrients))
-    _check_groups(scene, {**scene.reactions, **reactions})
+    check_reactions(scene, {**scene.reactions, **reactions})
 
 
-def _check_groups(scene: Scene, reactions: Mapping[str, Any]) -> None:
+def check_reactions(scene: Scene, reactions: Mapping[str, Any]) -> None:
+    """Raise ``SceneError`` for reactions that do not fit the fields of the scene."""
     for group in groups(scene.nutrients, reactions):
         _check_grid(scene, group)
         _check_regime(scene, group)

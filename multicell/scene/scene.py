@@ -248,7 +248,7 @@ class Scene:
         check_driven(self)
         check_nutrients(self)
         check_energy(self)
-        check_reactions(self)
+        check_reactions(self, self.reactions)
         check_radiation(self)
         note_written(self, self.__dict__.pop("_written"))
         enter_units(self.output.observables)

@@ -128,11 +128,6 @@ class FitProblem:
         columns = zip(self.ranges, shares.T, strict=True)
         return {free.name: [free.value(float(x)) for x in column] for free, column in columns}
 
-    @property
-    def parameter_units(self) -> dict[str, str]:
-        """Base units of the parameters by name."""
-        return {free.name: free.unit for free in self.ranges}
-
     def on_scales(self, condition: int, reading: Reading) -> Array:
         """Return the readings of a run on the scales of its data; NaN where there is nothing."""
         data = self.measured.of(condition)

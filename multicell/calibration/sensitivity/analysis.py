@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.calibration.sensitivity.indices import (
     INDEX_COLUMNS,
@@ -16,7 +16,6 @@ from multicell.calibration.sensitivity.indices import (
     sample,
     sensitivity_indices,
 )
-from multicell.calibration.sensitivity.plan import SensitivityPlan
 from multicell.calibration.sensitivity.result import (
     Row,
     Sensitivity,
@@ -30,7 +29,7 @@ from multicell.scene.scene import load_scene
 from multicell.schema import chosen
 from multicell.studies.axes import Range, check_ranges, parse_ranges
 from multicell.studies.limits import MAX_POINTS, check_runs, check_seeds, whole_between
-from multicell.studies.plan import make_plan
+from multicell.studies.plan import Plan, make_plan
 from multicell.studies.readings import chosen_observables, read_final
 from multicell.studies.study import Study, write_study
 
@@ -114,6 +113,31 @@ def sensitivity(
     if report:
         result.report()
     return result
+
+
+@final
+@dataclass(frozen=True)
+class SensitivityPlan:
+    """An analysis that was checked and has not run.
+
+    - ``scene``, ``ranges``, ``size``, ``observables``, ``method``: as in
+      :func:`multicell.sensitivity`
+    - ``study``: the plan of its runs: the points that differ, as a list
+    - ``rows``, (n,): the number of each point of the sample in the study
+    """
+
+    scene: Scene
+    ranges: tuple[Range, ...]
+    size: int
+    observables: tuple[str, ...]
+    study: Plan
+    rows: tuple[int, ...]
+    method: str = "morris"
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """The seeds of the runs at each point."""
+        return tuple(range(self.scene.seed, self.scene.seed + self.study.seeds))
 
 
 def plan_sensitivity(

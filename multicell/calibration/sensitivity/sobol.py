@@ -27,7 +27,7 @@ from multicell.errors import SceneError
 from multicell.units import shown
 
 if TYPE_CHECKING:
-    from multicell.calibration.sensitivity.plan import SensitivityPlan
+    from multicell.calibration.sensitivity.analysis import SensitivityPlan
     from multicell.cells import FloatArray
 
 LEAST_SIZE: Final = 8  # places: of fewer no interval can be resampled

@@ -1,4 +1,4 @@
-"""The picture of stability, how each method ends at each step or tolerance, and its page."""
+"""The picture of stability: how each method ends at each step or tolerance."""
 
 from __future__ import annotations
 
@@ -13,17 +13,13 @@ from matplotlib.patches import Patch
 
 from multicell.comparison.stability_limits.trial import BLOW_UP, STABLE, STALL, WRONG
 from multicell.report.plots.style import INK, blank, few_decades, styled
-from multicell.report.wording import cell_count, clock
+from multicell.report.wording import cell_count
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from multicell.comparison.base import Row
     from multicell.comparison.stability_limits.result import StabilityMap
-
-CAPTION: Final = (
-    "Outcome at each step or tolerance. Each dot is one trial; a bar is the limit in theory."
-)
 
 # distinguishable by lightness as well as by hue (Okabe & Ito, darkened where white text is near)
 TRIAL_COLOURS: Final = {
@@ -106,25 +102,3 @@ def _draw_strips(axes: Axes, strips: Mapping[str, Sequence[Row]], scale: float) 
     axes.grid(visible=False, axis="y")
     axes.spines["left"].set_visible(False)
     axes.tick_params(axis="y", length=0)
-
-
-def stability_context(result: StabilityMap) -> dict[str, Any]:
-    """Return the fields of ``stability.html``."""
-    first = result.table[0]
-    failures = sum(row["kind"] != STABLE for row in result.table)
-    return {
-        "title": f"{result.title}: stability",
-        "subtitle": result.words.subtitle,
-        "tiles": {
-            "cells": f"{first['cells']:,}",
-            "largest decay rate λmax": f"{first['rate']:.3g}/s",
-            "Euler's limit 2/λmax": f"{2.0 / first['rate']:.3g} s",
-            "methods": f"{len(result.methods)}",
-            "trials that failed": f"{failures} of {len(result.table):,}",
-            "wall time": clock(result.facts["wall"]),
-        },
-        "colours": TRIAL_COLOURS,
-        "kinds": result.words.ends,
-        "moments": result.facts.get("moments", []),
-        "failed": [row for row in result.table if row["kind"] != STABLE],
-    }

@@ -1,4 +1,4 @@
-"""The picture of failures in moving tissue, and its page."""
+"""The picture of failures in moving tissue."""
 
 from __future__ import annotations
 
@@ -17,11 +17,9 @@ from multicell.comparison.stability_limits.failures import (
     MISSED,
     POCKET,
     SNAP,
-    STEP_ENDS,
 )
 from multicell.comparison.stability_limits.trial import BLOW_UP, STABLE, STALL, WRONG
 from multicell.report.plots.style import INK, blank, styled
-from multicell.report.wording import clock
 
 if TYPE_CHECKING:
     from multicell.comparison.stability_limits.failure_map import FailureMap
@@ -89,22 +87,3 @@ def _draw_state(axes: Any, result: FailureMap, state: str) -> None:
     axes.set_xticks([0, most - 1], ["fine", "coarse"], fontsize=9.5)
     axes.grid(visible=False)
     axes.tick_params(length=0)
-
-
-def failure_context(result: FailureMap) -> dict[str, Any]:
-    """Return the fields of ``failures.html``."""
-    return {
-        "title": "How methods end coupling steps of real runs",
-        "subtitle": "Each method starts from states that the runs have passed. An end is right if "
-        f"the worst cell is off by at most {MAX_RATIO:g} times the effect of shifts of the start.",
-        "tiles": {
-            "states": f"{len(result.states)}",
-            "methods": f"{len(result.methods)}",
-            "trials that ended wrong": f"{len(result.failures())} of {len(result.table):,}",
-            "wall time": clock(result.facts["wall"]),
-        },
-        "kinds": STEP_ENDS,
-        "letters": END_LETTERS,
-        "worst": result.worst(),
-        "failed": [row for row in result.table if row["words"]],
-    }

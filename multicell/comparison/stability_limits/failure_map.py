@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Final, final
 
 from multicell.comparison.base import Comparison, Pictures, Row
 from multicell.comparison.stability_limits.failures import MAX_RATIO, POCKET, STEP_ENDS
 from multicell.comparison.stability_limits.trial import STABLE
-from multicell.scene.scene import Scene
+from multicell.report.wording import clock
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FAILURE_FILES: Final = ("failures.csv", "worst.csv", "failures.png", "report.html")
 """What a map of failures writes into its folder."""
-FAILURE_CAPTION: Final = (
+_CAPTION: Final = (
     "Error of the worst cell over the effect of shifts of the start on it, for each method "
     f"(lines), state (columns) and setting (from fine to coarse); above {MAX_RATIO:g} an end is "
     "wrong, and a letter names its kind."
@@ -25,7 +24,6 @@ FAILURE_CAPTION: Final = (
 
 
 @final
-@dataclass(frozen=True, eq=False)
 class FailureMap(Comparison):
     """Ends of recorded coupling steps by each method.
 
@@ -45,10 +43,6 @@ class FailureMap(Comparison):
     """
 
     template: ClassVar[str] = "failures.html"
-
-    scene: Scene
-    table: list[Row]
-    facts: dict[str, Any]
 
     @property
     def states(self) -> list[str]:
@@ -106,10 +100,25 @@ class FailureMap(Comparison):
 
     def pictures(self) -> Pictures:
         """Return the map."""
-        return {"failures.png": (self.figure, FAILURE_CAPTION)}
+        return {"failures.png": (self.figure, _CAPTION)}
 
     def page(self) -> dict[str, Any]:
         """Return the fields of the page's template."""
-        from multicell.comparison.stability_limits.failure_charts import failure_context
+        from multicell.comparison.stability_limits.failure_charts import END_LETTERS
 
-        return failure_context(self)
+        return {
+            "title": "How methods end coupling steps of real runs",
+            "subtitle": "Each method starts from states that the runs have passed. An end is right "
+            f"if the worst cell is off by at most {MAX_RATIO:g} times the effect of shifts of the "
+            "start.",
+            "tiles": {
+                "states": f"{len(self.states)}",
+                "methods": f"{len(self.methods)}",
+                "trials that ended wrong": f"{len(self.failures())} of {len(self.table):,}",
+                "wall time": clock(self.facts["wall"]),
+            },
+            "kinds": STEP_ENDS,
+            "letters": END_LETTERS,
+            "worst": self.worst(),
+            "failed": [row for row in self.table if row["words"]],
+        }

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, final
 
 from multicell.comparison.base import Comparison, Pictures, Row
 from multicell.comparison.stability_limits.trial import STABLE, TRIAL_ENDS
-from multicell.scene.scene import Scene
+from multicell.report.wording import clock
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,6 +22,10 @@ STABILITY_FILES: Final = (
     "report.html",
 )
 """What a study of stability writes into its folder; only of networks there is ``moments.csv``."""
+
+_CAPTION: Final = (
+    "Outcome at each step or tolerance. Each dot is one trial; a bar is the limit in theory."
+)
 
 
 @final
@@ -73,9 +77,6 @@ class StabilityMap(Comparison):
 
     template: ClassVar[str] = "stability.html"
 
-    scene: Scene
-    table: list[Row]
-    facts: dict[str, Any]
     words: StabilityWords = OF_CELLS
 
     @property
@@ -133,12 +134,27 @@ class StabilityMap(Comparison):
 
     def pictures(self) -> Pictures:
         """Return the map."""
-        from multicell.comparison.stability_limits.charts import CAPTION
-
-        return {"stability.png": (self.figure, CAPTION)}
+        return {"stability.png": (self.figure, _CAPTION)}
 
     def page(self) -> dict[str, Any]:
         """Return the fields of the page's template."""
-        from multicell.comparison.stability_limits.charts import stability_context
+        from multicell.comparison.stability_limits.charts import TRIAL_COLOURS
 
-        return stability_context(self)
+        first = self.table[0]
+        failures = sum(row["kind"] != STABLE for row in self.table)
+        return {
+            "title": f"{self.title}: stability",
+            "subtitle": self.words.subtitle,
+            "tiles": {
+                "cells": f"{first['cells']:,}",
+                "largest decay rate λmax": f"{first['rate']:.3g}/s",
+                "Euler's limit 2/λmax": f"{2.0 / first['rate']:.3g} s",
+                "methods": f"{len(self.methods)}",
+                "trials that failed": f"{failures} of {len(self.table):,}",
+                "wall time": clock(self.facts["wall"]),
+            },
+            "colours": TRIAL_COLOURS,
+            "kinds": self.words.ends,
+            "moments": self.facts.get("moments", []),
+            "failed": [row for row in self.table if row["kind"] != STABLE],
+        }
