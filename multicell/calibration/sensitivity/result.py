@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -52,8 +53,13 @@ def failure_notes(failures: Mapping[str, str]) -> list[str]:
 
 
 @dataclass(frozen=True, eq=False)
-class IndexTable:
-    """Indices of each observable and parameter, and the sample that they come from."""
+class IndexTable(ABC):
+    """Indices of each observable and parameter, and the sample that they come from.
+
+    - ``leading``: the column that orders the rows of an observable
+    - ``further``: points that each place of the sample has beside one for each parameter
+    - ``kind``, ``caption``: of the analysis and its pictures, in words; ``template``: of its page
+    """
 
     scene: Scene
     ranges: tuple[Range, ...]
@@ -65,7 +71,14 @@ class IndexTable:
     folder: Path | None = None
 
     leading: ClassVar[str]
-    """The column that orders the rows of an observable."""
+    further: ClassVar[int]
+    kind: ClassVar[str]
+    caption: ClassVar[str]
+    template: ClassVar[str]
+
+    @abstractmethod
+    def plot(self, observable: str | None = None) -> Figure:
+        """Draw the indices of an observable (by default the first) with their intervals."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values."""
@@ -114,6 +127,18 @@ class IndexTable:
         write_text(place / "sensitivity.json", self.to_json())
         return place
 
+    def report(self, folder: str | Path | None = None) -> Path:
+        """Write tables, pictures and the page ``report.html``; return the page.
+
+        Raises
+        ------
+        OutputError
+            If there is no folder, or it cannot be written to.
+        """
+        from multicell.calibration.sensitivity.page import write_sensitivity_report
+
+        return write_sensitivity_report(self, self.write_tables(folder))
+
 
 @final
 class Sensitivity(IndexTable):
@@ -132,6 +157,13 @@ class Sensitivity(IndexTable):
     """
 
     leading: ClassVar[str] = "mu_star"
+    further: ClassVar[int] = 1
+    kind: ClassVar[str] = "Screening by Morris"
+    caption: ClassVar[str] = (
+        "size of effects at the end of the runs, with 95 % intervals; pale is what is not "
+        "distinguishable from noise or zero."
+    )
+    template: ClassVar[str] = "sensitivity.html"
 
     def index(self, observable: str, parameter: str) -> Row:
         """Return one row of the table.
@@ -165,18 +197,6 @@ class Sensitivity(IndexTable):
             lines += [f"  {line}" for line in _table_lines(self.ordered(name))]
         return "\n".join([*lines, *(f"Note: {note}" for note in self.notes)])
 
-    def report(self, folder: str | Path | None = None) -> Path:
-        """Write tables, pictures and the page ``report.html``; return the page.
-
-        Raises
-        ------
-        OutputError
-            If there is no folder, or it cannot be written to.
-        """
-        from multicell.calibration.sensitivity.page import write_sensitivity_report
-
-        return write_sensitivity_report(self, self.write_tables(folder))
-
 
 @final
 class SobolIndices(IndexTable):
@@ -192,6 +212,10 @@ class SobolIndices(IndexTable):
     """
 
     leading: ClassVar[str] = "ST"
+    further: ClassVar[int] = 2
+    kind: ClassVar[str] = "Sobol' indices"
+    caption: ClassVar[str] = "parts of its variance, with 95 % intervals."
+    template: ClassVar[str] = "sobol.html"
 
     def plot(self, observable: str | None = None) -> Figure:
         """Draw first and total indices of an observable with their intervals."""
@@ -212,12 +236,6 @@ class SobolIndices(IndexTable):
                 first, total = (f"{row[x]:.3g} ± {row[f'{x}_conf']:.2g}" for x in ("S1", "ST"))
                 lines.append(f"  {row['parameter']:24s} S1 {first:18s} ST {total}")
         return "\n".join([*lines, *(f"Note: {note}" for note in self.notes)])
-
-    def report(self, folder: str | Path | None = None) -> Path:
-        """Write tables, pictures and the page ``report.html``; return the page."""
-        from multicell.calibration.sensitivity.page import write_sobol_report
-
-        return write_sobol_report(self, self.write_tables(folder))
 
 
 def _table_lines(rows: Sequence[Row]) -> list[str]:

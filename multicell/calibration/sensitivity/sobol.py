@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -84,9 +83,7 @@ def sobol_indices(names: Sequence[str], values: FloatArray) -> tuple[dict[str, F
 
 
 def sobol_result(
-    plan: SensitivityPlan,
-    values: Mapping[str, FloatArray],
-    failures: Mapping[str, str] = MappingProxyType({}),
+    plan: SensitivityPlan, values: Mapping[str, FloatArray], failures: Mapping[str, str]
 ) -> SobolIndices:
     """Return the indices of whatever has values at the points of a plan's sample."""
     names = [free.name for free in plan.ranges]
