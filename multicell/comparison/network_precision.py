@@ -29,6 +29,7 @@ from multicell.comparison.network_steps import (
     which_network,
 )
 from multicell.comparison.norms import Norm
+from multicell.comparison.null_methods import root_mean_square
 from multicell.comparison.precision import COMPARISON_FILES, NUMBERS_FILE, Precision
 from multicell.comparison.record import SAMPLES, sample_size
 from multicell.errors import SceneError
@@ -64,16 +65,12 @@ def _over(of: Callable[[FloatArray], Any], steps: Callable[[list[Any]], Any]) ->
     return lambda errors: float(steps([of(error) for error in errors]))
 
 
-def _rms(error: FloatArray) -> float:
-    return float(np.sqrt(np.square(error).mean()))
-
-
 _SIZE: Final = "their size"
 NETWORK_NORMS: Final = {
     norm.name: norm
     for norm in (
-        Norm("state", "states", "worst", _SIZE, _over(_rms, max)),
-        Norm("state_median", "states", "median", _SIZE, _over(_rms, np.median)),
+        Norm("state", "states", "worst", _SIZE, _over(root_mean_square, max)),
+        Norm("state_median", "states", "median", _SIZE, _over(root_mean_square, np.median)),
         Norm("worst_cell", "worst state of a cell", "worst", _SIZE, _over(np.max, max)),
         Norm(
             "worst_cell_median", "worst state of a cell", "median", _SIZE, _over(np.max, np.median)
