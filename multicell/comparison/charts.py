@@ -23,7 +23,7 @@ from multicell.report.wording import cell_count, time_unit
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from multicell.comparison.precision import Precision
+    from multicell.comparison.numbers import SolveTable
 
 _Range = tuple[float, float]  # smallest and largest value on a logarithmic axis
 
@@ -48,7 +48,7 @@ _WIDTH, _TALLEST, _DECADE = 10.0, 6.2, 1.7  # inches: figure, tallest panel, lon
 
 
 @styled
-def workprecision(result: Precision, norm: str) -> Figure:
+def workprecision(result: SolveTable, norm: str) -> Figure:
     """Draw error in one norm over time and over what the result counts."""
     costs = (result.clock, *result.counts)
     errors = _log_range(point.error for point in points(result, norm, result.clock))
@@ -95,7 +95,7 @@ def workprecision(result: Precision, norm: str) -> Figure:
     return figure
 
 
-def _error_words(result: Precision, norm: str) -> str:
+def _error_words(result: SolveTable, norm: str) -> str:
     """Return the label of the axis of the error, in lines."""
     measure = result.measures()[norm]
     words = _DISTANCES.get(measure.quantity, measure.quantity)
@@ -105,7 +105,7 @@ def _error_words(result: Precision, norm: str) -> str:
     return "\n".join(textwrap.wrap(label, len(label) // lines + 6))  # of about one length
 
 
-def _costs(result: Precision, norm: str, cost: str) -> list[float]:
+def _costs(result: SolveTable, norm: str, cost: str) -> list[float]:
     """Return the costs that an axis has to show; without any, those of the failures."""
     found = [end for p in points(result, norm, cost) for end in (p.shortest, p.longest)]
     if not found and cost != "cost":
@@ -115,7 +115,7 @@ def _costs(result: Precision, norm: str, cost: str) -> list[float]:
 
 def _panel(
     axes: Axes,
-    result: Precision,
+    result: SolveTable,
     norm: str,
     cost: str,
     ends: tuple[_Range, _Range],
@@ -159,7 +159,7 @@ def _panel(
     _draw_band(axes, result.uncertainty[norm], _UNCERTAIN, "_uncertainty", known is not None)
 
 
-def _footnote(figure: Figure, result: Precision, norm: str, errors: _Range) -> None:
+def _footnote(figure: Figure, result: SolveTable, norm: str, errors: _Range) -> None:
     """State the errors of the reference and of a shift, which are drawn as bands."""
     bands = [("grey band", "reference known to", result.uncertainty[norm])]
     known = result.conditioning
@@ -216,7 +216,7 @@ def _draw_band(axes: Axes, value: float, colour: str, label: str, order: int = 0
 
 
 def _draw_failures(
-    strip: Axes, result: Precision, styles: Mapping[str, Style], span: _Range
+    strip: Axes, result: SolveTable, styles: Mapping[str, Style], span: _Range
 ) -> None:
     """Draw every failed solve as a cross at the time that it had taken.
 

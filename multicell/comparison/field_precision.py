@@ -20,7 +20,8 @@ from multicell.comparison.field_steps import (
 from multicell.comparison.measure import default_budget, solve_row, solve_times
 from multicell.comparison.measured import Measurements, open_measurements
 from multicell.comparison.norms import Norm
-from multicell.comparison.precision import COMPARISON_FILES, NUMBERS_FILE, Precision
+from multicell.comparison.numbers import COMPARISON_FILES, NUMBERS_FILE
+from multicell.comparison.precision import Precision
 from multicell.errors import NutrientFailed, SceneError, StepFailed
 from multicell.integrators.base import MethodInfo
 from multicell.nutrient.equations.outside import settle

@@ -30,7 +30,8 @@ from multicell.comparison.network_steps import (
 )
 from multicell.comparison.norms import Norm
 from multicell.comparison.null_methods import root_mean_square
-from multicell.comparison.precision import COMPARISON_FILES, NUMBERS_FILE, Precision
+from multicell.comparison.numbers import COMPARISON_FILES, NUMBERS_FILE
+from multicell.comparison.precision import Precision
 from multicell.comparison.record import SAMPLES, sample_size
 from multicell.errors import SceneError
 from multicell.integrators.base import MethodInfo

@@ -13,7 +13,7 @@ from multicell.report.plots.colour_vision import PALE
 from multicell.report.wording import time_unit
 
 if TYPE_CHECKING:
-    from multicell.comparison.precision import Precision
+    from multicell.comparison.numbers import SolveTable
 
 VERDICT_NORMS: Final = (
     "position",
@@ -39,7 +39,7 @@ CAPTIONS: Final = {
 }
 
 
-def comparison_context(result: Precision) -> dict[str, Any]:
+def comparison_context(result: SolveTable) -> dict[str, Any]:
     """Return the fields of ``compare.html``."""
     return {
         "title": f"{result.title}: work and precision",
@@ -66,7 +66,7 @@ def comparison_context(result: Precision) -> dict[str, Any]:
     }
 
 
-def _conditioning(result: Precision) -> dict[str, str]:
+def _conditioning(result: SolveTable) -> dict[str, str]:
     """Return the effect of a shift of all positions on the ends of the steps; none of a run."""
     known = result.conditioning
     if known is None:
@@ -86,7 +86,7 @@ def _conditioning(result: Precision) -> dict[str, str]:
     }
 
 
-def _subtitle(result: Precision) -> str:
+def _subtitle(result: SolveTable) -> str:
     facts = result.facts
     if result.stepwise:
         compared = f"{facts['mode']}, each from the same recorded state for every method"
@@ -98,7 +98,7 @@ def _subtitle(result: Precision) -> str:
     return f"{compared} · reference: {facts['reference']} · threads: {facts['threads']}"
 
 
-def _tiles(result: Precision) -> dict[str, str]:
+def _tiles(result: SolveTable) -> dict[str, str]:
     facts = result.facts
     first, last = facts["cells"]
     known, quantity = result.conditioning, result.measures()[result.main].quantity
@@ -118,7 +118,7 @@ def _tiles(result: Precision) -> dict[str, str]:
     }
 
 
-def _orders(result: Precision) -> dict[str, str]:
+def _orders(result: SolveTable) -> dict[str, str]:
     """Return the measured order of the methods with a fixed step."""
     fixed = dict.fromkeys(r["method"] for r in result.table if r["control"] == "step")
     orders = {method: result.order(method, finest=5) for method in fixed}

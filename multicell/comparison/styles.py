@@ -12,7 +12,7 @@ from multicell.integrators.registry import find
 from multicell.report.plots.colour_vision import PALE, distinguishable_colours
 
 if TYPE_CHECKING:
-    from multicell.comparison.precision import Precision
+    from multicell.comparison.numbers import SolveTable
 
 MAX_COLOURED: Final = 8
 """Most series in colour; with more, neither colours nor a legend can be followed."""
@@ -40,7 +40,7 @@ class ChartPoint(NamedTuple):
     longest: float
 
 
-def points(result: Precision, norm: str, cost: str, method: str = "") -> list[ChartPoint]:
+def points(result: SolveTable, norm: str, cost: str, method: str = "") -> list[ChartPoint]:
     """Return the solves of a method, or of all, that have a place on logarithmic axes."""
     methods = [method] if method else result.methods
     found = [_point(row, norm, cost) for name in methods for row in result.rows(name)]
@@ -64,7 +64,7 @@ def pareto_front(solves: list[ChartPoint]) -> list[ChartPoint]:
     return front
 
 
-def in_colour(result: Precision, norm: str) -> list[str]:
+def in_colour(result: SolveTable, norm: str) -> list[str]:
     """Return the at most eight methods that a chart shows in colour.
 
     First those on the Pareto front of error over the time that judges, then those that the user
@@ -84,7 +84,7 @@ def _info(name: str) -> MethodInfo:
     return find(name) or MethodInfo(name)
 
 
-def appearance(result: Precision, norm: str = "") -> dict[str, Style]:
+def appearance(result: SolveTable, norm: str = "") -> dict[str, Style]:
     """Return the style of every method: at most eight in colour, the others in :data:`PALE`.
 
     Colours are distinguishable (:func:`distinguishable_colours`).

@@ -18,7 +18,7 @@ from multicell.comparison.ladders import (
 from multicell.comparison.measure import Effort, TimedPoint, climb, default_budget, time_again
 from multicell.comparison.measured import Measurements, named_only, open_measurements
 from multicell.comparison.norms import Metric, norms_with
-from multicell.comparison.precision import COMPARISON_FILES, NUMBERS_FILE
+from multicell.comparison.numbers import COMPARISON_FILES, NUMBERS_FILE
 from multicell.comparison.record import sample_size
 from multicell.comparison.reference import Reference, method_pair, reference, unsolved_problem
 from multicell.comparison.result import WorkPrecision

@@ -20,8 +20,8 @@ from multicell import Hertz
 from multicell.comparison.conditioning import conditioning_of, shift_starts
 from multicell.comparison.ladders import find_method
 from multicell.comparison.norms import displacements, observe
+from multicell.comparison.numbers import COMPARISON_FILES
 from multicell.comparison.page import VERDICT_NORMS
-from multicell.comparison.precision import COMPARISON_FILES
 from multicell.comparison.reference import method_pair, reference
 from multicell.comparison.replay import ReplayProblem, Step, replay
 from multicell.comparison.result import WorkPrecision

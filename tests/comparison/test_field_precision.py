@@ -15,7 +15,7 @@ from multicell.cli.main import main
 from multicell.comparison.field_precision import compare_fields
 from multicell.comparison.field_steps import record_fields, solve_fields
 from multicell.comparison.measured import LOG_FILE
-from multicell.comparison.precision import COMPARISON_FILES
+from multicell.comparison.numbers import COMPARISON_FILES
 from multicell.errors import SceneError
 from multicell.results.documents import Lines
 

@@ -16,7 +16,7 @@ from multicell.comparison.measured import LOG_FILE
 from multicell.comparison.network_precision import compare_networks
 from multicell.comparison.network_reference import cvode_end, largest_rates
 from multicell.comparison.network_steps import record_network, solve_steps
-from multicell.comparison.precision import COMPARISON_FILES
+from multicell.comparison.numbers import COMPARISON_FILES
 from multicell.comparison.stability_limits.networks import network_stability
 from multicell.comparison.stability_limits.trial import BLOW_UP
 from multicell.errors import SceneError

@@ -19,7 +19,8 @@ from multicell.calibration.dose_response.curve import (
     draw_means,
     fit_curve,
 )
-from multicell.calibration.dose_response.result import DoseResponse, Row
+from multicell.calibration.dose_response.numbers import Row
+from multicell.calibration.dose_response.result import DoseResponse
 from multicell.errors import DataError, ExitCode, FitFailed, OutputError, SceneError
 from multicell.host.extras import needs
 from multicell.measured.columns import finite_entry

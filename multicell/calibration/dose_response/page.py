@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from multicell.calibration.dose_response.result import DoseResponse
+    from multicell.calibration.dose_response.numbers import DoseNumbers
 
 
-def write_dose_report(result: DoseResponse, folder: Path) -> Path:
+def write_dose_report(result: DoseNumbers, folder: Path) -> Path:
     """Write ``report.html`` and the picture as PNG and SVG, and return the page."""
     drugs = " and ".join(curve.name for curve in result.curves)
     caption = (
@@ -64,7 +64,7 @@ _MAX_TILES: Final = 8  # along a side of a map with numbers
 
 
 @styled
-def draw(result: DoseResponse) -> Figure:
+def draw(result: DoseNumbers) -> Figure:
     """Draw responses, curves with bands and IC50; of combinations also both references."""
     kind = "replicates" if result.scene is None else "seeds"
     about = f"{result.replicates} {kind}" if result.replicates > 1 else f"one {kind[:-1]}"
@@ -84,7 +84,7 @@ def draw(result: DoseResponse) -> Figure:
     return figure
 
 
-def _draw_curve(axes: Axes, result: DoseResponse, drug: int) -> None:
+def _draw_curve(axes: Axes, result: DoseNumbers, drug: int) -> None:
     """Draw one drug alone, with the control beside the logarithmic axis."""
     curve = result.curves[drug]
     low, high = float(curve.doses[1]), float(curve.doses[-1])
@@ -152,7 +152,7 @@ def _mark_half(axes: Axes, curve: DoseCurve, left: float) -> None:
     axes.plot([half.value], [0.5], "D", color=RED, ms=6.5, mec="white", zorder=6)
 
 
-def _draw_map(axes: Axes, result: DoseResponse, name: str, title: str, neutral: float) -> None:
+def _draw_map(axes: Axes, result: DoseNumbers, name: str, title: str, neutral: float) -> None:
     """Draw a reference over both doses; blue is synergy, red antagonism."""
     rows = result.combination
     sides = [sorted({row[dose] for row in rows}) for dose in DOSES[2]]

@@ -14,7 +14,7 @@ from multicell.report.html import write_page
 from multicell.report.wording import clock, time_unit, written
 
 if TYPE_CHECKING:
-    from multicell.calibration.fitting.result import Fit
+    from multicell.calibration.fitting.numbers import FitNumbers
 
 
 _DATA: Final = (
@@ -31,7 +31,7 @@ _POSTERIOR: Final = (
 )
 
 
-def write_fit_report(fit: Fit, folder: str | Path | None = None) -> Path:
+def write_fit_report(fit: FitNumbers, folder: str | Path | None = None) -> Path:
     """Write ``report.html`` and its pictures, and return the page."""
     place = fit.folder if folder is None else Path(folder)
     if place is None:
@@ -60,7 +60,7 @@ def write_fit_report(fit: Fit, folder: str | Path | None = None) -> Path:
     )
 
 
-def _checked(fit: Fit) -> str:
+def _checked(fit: FitNumbers) -> str:
     """Return the outcome of posterior predictive checks in words."""
     if fit.sample is None:
         return ""
@@ -74,7 +74,7 @@ def _checked(fit: Fit) -> str:
     )
 
 
-def _tiles(fit: Fit) -> dict[str, str]:
+def _tiles(fit: FitNumbers) -> dict[str, str]:
     best = {f"best {key}": words for key, words in list(fit.best.words.items())[:4]}
     conditions = len(fit.problem.measured.conditions)
     runs = fit.facts["sets_of_parameters"] * len(fit.problem.tasks())
@@ -89,7 +89,7 @@ def _tiles(fit: Fit) -> dict[str, str]:
     }
 
 
-def parameters_in_words(fit: Fit) -> list[dict[str, str]]:
+def parameters_in_words(fit: FitNumbers) -> list[dict[str, str]]:
     """Return the parameters one by one in words."""
     known = fit.intervals() if fit.sample is not None else {}
     rows = []
@@ -113,7 +113,7 @@ def parameters_in_words(fit: Fit) -> list[dict[str, str]]:
     return rows
 
 
-def data_in_words(fit: Fit) -> list[dict[str, Any]]:
+def data_in_words(fit: FitNumbers) -> list[dict[str, Any]]:
     """Return the data one by one in words."""
     rows = fit.rows()
     unit = time_unit(max((row["time"] for row in rows if row["time"] == row["time"]), default=0.0))

@@ -22,7 +22,7 @@ from multicell.studies.pictures import panels, with_heading
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from multicell.calibration.fitting.result import Fit
+    from multicell.calibration.fitting.numbers import FitNumbers
     from multicell.measured.data import Datum
     from multicell.studies.axes import Range
 
@@ -45,7 +45,7 @@ _ZOOMED: Final = 0.35  # part of a range below which only that is drawn
 class FitPlots:
     """The pictures of one fit; calling it draws data and runs."""
 
-    def __init__(self, fit: Fit) -> None:
+    def __init__(self, fit: FitNumbers) -> None:
         self._fit = fit
 
     @styled
@@ -171,7 +171,7 @@ def _draw_profile(axes: Axes, profile: LikelihoodProfile, free: Range) -> None:
     axes.set_ylabel("-2 ln (L / best)")
 
 
-def _panels(fit: Fit) -> list[tuple[str, bool, list[int]]]:
+def _panels(fit: FitNumbers) -> list[tuple[str, bool, list[int]]]:
     """Return observable, whether it is over time, and the numbers of the data, by panel."""
     found: dict[tuple[Any, ...], list[int]] = {}
     for number, datum in enumerate(fit.problem.measured.data):
@@ -189,7 +189,7 @@ def _abscissa(datum: Datum) -> float | None:
     return datum.time if datum.depth is None else datum.depth
 
 
-def _over_axis(axes: Axes, fit: Fit, numbers: Sequence[int], band: Array) -> None:
+def _over_axis(axes: Axes, fit: FitNumbers, numbers: Sequence[int], band: Array) -> None:
     """Draw one observable against time or depth, each condition in a colour."""
     data = fit.problem.measured.data
     profile = data[numbers[0]].depth is not None
@@ -215,7 +215,7 @@ def _over_axis(axes: Axes, fit: Fit, numbers: Sequence[int], band: Array) -> Non
         axes.legend(fontsize=9)
 
 
-def _one_by_one(axes: Axes, fit: Fit, numbers: Sequence[int], band: Array) -> None:
+def _one_by_one(axes: Axes, fit: FitNumbers, numbers: Sequence[int], band: Array) -> None:
     """Draw the data of one observable side by side."""
     data, places = fit.problem.measured.data, np.arange(len(numbers))
     own = list(numbers)
@@ -245,7 +245,7 @@ def _draw_data(axes: Axes, places: Any, data: Sequence[Datum], **how: Any) -> No
     axes.errorbar(places, values, bars, fmt="o", markersize=5, capsize=3, **edge, **how)
 
 
-def _place(fit: Fit, datum: Datum) -> str:
+def _place(fit: FitNumbers, datum: Datum) -> str:
     """Return where a datum belongs, in words; what all of them share stands below the panel."""
     measured = fit.problem.measured
     same = {_when(d) for d in measured.data if d.observable == datum.observable}
@@ -274,7 +274,7 @@ def _label(free: Range) -> str:
     return with_unit(words(free.name), _unit(free)[0])
 
 
-def _window(fit: Fit, k: int) -> tuple[float, float]:
+def _window(fit: FitNumbers, k: int) -> tuple[float, float]:
     """Return the part of a range that is drawn: all of it, or where the posterior is."""
     if fit.sample is None:
         return 0.0, 1.0
@@ -294,7 +294,7 @@ def _at(free: Range, shares: Array) -> Array:
 
 
 def _marginal(
-    axes: Axes, fit: Fit, free: Range, k: int, sample: Any, window: tuple[float, float]
+    axes: Axes, fit: FitNumbers, free: Range, k: int, sample: Any, window: tuple[float, float]
 ) -> None:
     if sample is not None:
         edges = np.linspace(*window, 33)
@@ -317,7 +317,7 @@ def _marginal(
 
 
 def _pair(
-    axes: Axes, fit: Fit, pair: tuple[Range, Range], places: tuple[int, int], sample: Any
+    axes: Axes, fit: FitNumbers, pair: tuple[Range, Range], places: tuple[int, int], sample: Any
 ) -> None:
     if sample is not None:
         chosen = np.random.default_rng(0).choice(sample, 600)
@@ -355,5 +355,5 @@ def _edges(
         axes.tick_params(labelleft=False)
 
 
-def _title(fit: Fit) -> str:
+def _title(fit: FitNumbers) -> str:
     return f"{fit.scene.title or 'Untitled scene'}: fit"

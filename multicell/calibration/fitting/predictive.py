@@ -30,7 +30,7 @@ from multicell.measured.noise import Array
 if TYPE_CHECKING:
     import pandas as pd
 
-    from multicell.calibration.fitting.result import Fit
+    from multicell.calibration.fitting.numbers import FitNumbers
 
 _TAIL_PART, _TAIL_ROOTS = 0.2, 3.0
 """The tail of S draws that is smoothed: min(S / 5, 3 √S) (Vehtari et al. 2024, JMLR 25, 72)."""
@@ -144,7 +144,7 @@ def _smoothed(ratios: Array) -> Array:
     return np.asarray(sizes / sizes.sum())
 
 
-def predictive_of(fit: Fit) -> Predictive:
+def predictive_of(fit: FitNumbers) -> Predictive:
     """Return the predictions of a fit; raises FitFailed where it has no posterior."""
     shares = fit.some_sample()
     problem = fit.problem
@@ -156,7 +156,7 @@ def predictive_of(fit: Fit) -> Predictive:
     return Predictive(known.predict(shares)[0], root @ root.T, jacobian)
 
 
-def least_residuals(fit: Fit, predictive: Predictive) -> Array:
+def least_residuals(fit: FitNumbers, predictive: Predictive) -> Array:
     """Return m(θ) - y in σ where ln p(y | θ) is largest, (n,)."""
     known = fit.fresh.likelihood
     assert known is not None
@@ -170,7 +170,7 @@ def least_residuals(fit: Fit, predictive: Predictive) -> Array:
     return np.asarray(known.predict(best[None])[0][0])
 
 
-def predictive_check(fit: Fit) -> PredictiveCheck:
+def predictive_check(fit: FitNumbers) -> PredictiveCheck:
     """Return the posterior predictive checks of a fit."""
     import pandas
 

@@ -27,7 +27,7 @@ from multicell.schema import near_miss
 from multicell.units import shown
 
 if TYPE_CHECKING:
-    from multicell.calibration.fitting.result import Fit
+    from multicell.calibration.fitting.numbers import FitNumbers
     from multicell.studies.axes import Range
 
 PROFILE_POINTS: Final = 41
@@ -101,7 +101,7 @@ class LikelihoodProfile:
         return bool(np.isfinite(self.interval(level)).all())
 
 
-def profile_of(fit: Fit, name: str, points: int = PROFILE_POINTS) -> LikelihoodProfile:
+def profile_of(fit: FitNumbers, name: str, points: int = PROFILE_POINTS) -> LikelihoodProfile:
     """Return the profile likelihood of a parameter of a fit, by its name or key.
 
     Raises SceneError for an unknown parameter or fewer than 5 points, FitFailed where the fit has

@@ -20,7 +20,7 @@ from multicell.results.folder import lock_folder
 from multicell.studies.limits import check_cores, whole_between
 
 if TYPE_CHECKING:
-    from multicell.calibration.fitting.result import Fit
+    from multicell.calibration.fitting.numbers import FitNumbers
 
 CHECK_RUNS: Final = 6  # at each end of an interval
 
@@ -51,7 +51,7 @@ class ProfileEnd:
 
 
 def checked_profile(
-    fit: Fit,
+    fit: FitNumbers,
     name: str,
     *,
     level: float = LEVEL,

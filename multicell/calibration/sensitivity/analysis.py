@@ -16,13 +16,8 @@ from multicell.calibration.sensitivity.indices import (
     sample,
     sensitivity_indices,
 )
-from multicell.calibration.sensitivity.result import (
-    Row,
-    Sensitivity,
-    SobolIndices,
-    failure_notes,
-    index_rows,
-)
+from multicell.calibration.sensitivity.numbers import Row, failure_notes, index_rows
+from multicell.calibration.sensitivity.result import Sensitivity, SobolIndices
 from multicell.calibration.sensitivity.sobol import sobol_result, sobol_sample
 from multicell.host.extras import needs
 from multicell.scene.scene import load_scene
@@ -191,11 +186,9 @@ def run_sensitivity_plan(
     final, failures = read_final(outcomes, folder, plan.observables)
     shape = len(plan.study.points), plan.study.seeds
     values = {n: column.reshape(shape)[list(plan.rows)] for n, column in final.items()}
+    given = plan.scene, plan.ranges, plan.seeds, values, failures
     found: Sensitivity | SobolIndices
-    if plan.method == "sobol":
-        found = sobol_result(plan, values, failures)
-    else:
-        found = sample_sensitivity(plan.scene, plan.ranges, plan.seeds, values, failures)
+    found = sobol_result(*given) if plan.method == "sobol" else sample_sensitivity(*given)
     result = replace(found, folder=folder)
     result.write_tables()  # numbers do not wait for a page
     return result

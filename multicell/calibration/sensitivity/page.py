@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from multicell.calibration.sensitivity.result import IndexTable, Row
+    from multicell.calibration.sensitivity.numbers import IndexTable, Row
     from multicell.cells import FloatArray
     from multicell.studies.axes import Range
 

@@ -18,8 +18,7 @@ from multicell.report.wording import cell_count
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from multicell.comparison.base import Row
-    from multicell.comparison.stability_limits.result import StabilityMap
+    from multicell.comparison.base import Comparison, Row
 
 # distinguishable by lightness as well as by hue (Okabe & Ito, darkened where white text is near)
 TRIAL_COLOURS: Final = {
@@ -34,8 +33,11 @@ _OVERHANG: Final = 1.35  # of the first and last strip beyond its setting
 
 
 @styled
-def stability_map(result: StabilityMap) -> Figure:
-    """Draw one strip for each method, coloured by what happens at each step or tolerance."""
+def stability_map(result: Comparison, tolerance: str) -> Figure:
+    """Draw one strip for each method, coloured by what happens at each step or tolerance.
+
+    ``tolerance`` says what a tolerance is.
+    """
     first = result.table[0]
     figure = blank(
         f"{result.title}: stability",
@@ -52,10 +54,11 @@ def stability_map(result: StabilityMap) -> Figure:
         steps = control == "step"
         _draw_strips(axes, strips, 2.0 / first["rate"] if steps else 1.0)
         axes.tick_params(labelsize=10.5)
-        axes.set_xlabel("step / Euler's limit" if steps else result.words.tolerance, fontsize=11)
+        axes.set_xlabel("step / Euler's limit" if steps else tolerance, fontsize=11)
         axes.set_title("Fixed step" if steps else "Error control", fontsize=12)
         left, width = left + width + 0.125, 0.265
-    handles: list[Any] = [Patch(color=TRIAL_COLOURS[kind], label=kind) for kind in result.kinds]
+    kinds = [kind for kind in TRIAL_COLOURS if kind in result.column("kind")]
+    handles: list[Any] = [Patch(color=TRIAL_COLOURS[kind], label=kind) for kind in kinds]
     handles.append(Line2D([], [], color=INK, marker=".", ls="", ms=4, alpha=0.55, label="a trial"))
     if "step" in groups:
         handles.append(Line2D([], [], color=INK, lw=2.0, label="limit in theory"))

@@ -22,7 +22,7 @@ from multicell.comparison.stability_limits.trial import BLOW_UP, STABLE, STALL, 
 from multicell.report.plots.style import INK, blank, styled
 
 if TYPE_CHECKING:
-    from multicell.comparison.stability_limits.failure_map import FailureMap
+    from multicell.comparison.base import Comparison
 
 END_LETTERS: Final = {
     STABLE: "",
@@ -42,9 +42,9 @@ _COLOURS: Final = ("#e3f1ea", "#b5dcc8", "#fff2cc", "#f3b25b", "#b3361e")
 
 
 @styled
-def failure_figure(result: FailureMap) -> Figure:
+def failure_figure(result: Comparison) -> Figure:
     """Draw a line of squares for each method and state, one square a setting."""
-    methods, states = result.methods, result.states
+    methods, states = result.methods, result.column("state")
     tall = max(0.3 * len(methods) + 3.1, 4.3)
     figure = blank(
         "How methods end coupling steps of real runs",
@@ -63,14 +63,15 @@ def failure_figure(result: FailureMap) -> Figure:
     names = [f"up to {edges[0]}", *(f"to {e}" for e in edges[1:]), f"above {edges[-1]}"]
     handles = [Patch(color=c, label=name) for c, name in zip(_COLOURS, names, strict=True)]
     figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.01, 0.0), fontsize=10)
-    said = [f"{END_LETTERS[kind]}  {kind}" for kind in result.kinds if END_LETTERS[kind]]
+    kinds = result.column("kind")
+    said = [f"{letter}  {kind}" for kind, letter in END_LETTERS.items() if letter and kind in kinds]
     for k, text in enumerate(said):
         place = (0.27 + 0.36 * (k // 4), (1.15 - 0.26 * (k % 4)) / tall)
         figure.text(*place, text, fontsize=10, color=INK)
     return figure
 
 
-def _draw_state(axes: Any, result: FailureMap, state: str) -> None:
+def _draw_state(axes: Any, result: Comparison, state: str) -> None:
     """Draw the squares of one state; of a failure without an end they have the last colour."""
     null = max(row["null_ratio"] for row in result.with_values(state=state))
     axes.set_title("\nat ".join(state.split(" at ")) + f"\nnull: {null:.2g}", fontsize=9.5)

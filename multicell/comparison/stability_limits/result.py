@@ -130,7 +130,7 @@ class StabilityMap(Comparison):
         """Draw how each method goes over its step or tolerance."""
         from multicell.comparison.stability_limits.charts import stability_map
 
-        return stability_map(self)
+        return stability_map(self, self.words.tolerance)
 
     def pictures(self) -> Pictures:
         """Return the map."""
