@@ -472,10 +472,8 @@ class CellType:
 
     def bonds(self, time: float) -> tuple[float, float]:
         """Return receptor and ligand concentration at a time in s."""
-        receptor, ligand = (
-            float(np.interp(time, [t for t, _ in points], [value for _, value in points]))
-            for points in (self.receptor, self.ligand)
-        )
+        courses = (np.transpose(points) for points in (self.receptor, self.ligand))
+        receptor, ligand = (float(np.interp(time, *course)) for course in courses)
         return receptor, ligand
 
 
