@@ -128,14 +128,8 @@ def behaviour_named(name: str, path: str) -> tuple[Behaviour, str]:
             return known, name[len(known.name) + 1 :]
         if not known.of and name == known.name:
             return known, ""
-    raise SceneError(
-        path, f"is {name!r}, which is no behaviour", near_miss(name, behaviour_names())
-    )
-
-
-def behaviour_names() -> list[str]:
-    """Return all names, with FIELD, TYPE or PHASE where one of the scene's stands."""
-    return [f"{b.name} {b.of.upper()}" if b.of else b.name for b in BEHAVIOURS]
+    names = [f"{b.name} {b.of.upper()}" if b.of else b.name for b in BEHAVIOURS]
+    raise SceneError(path, f"is {name!r}, which is no behaviour", near_miss(name, names))
 
 
 def signal_unit(name: str, fields: Iterable[str], path: str) -> str:

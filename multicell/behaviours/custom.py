@@ -47,11 +47,6 @@ class UserResponse(OwnLaw, ResponseLaw):
             share = np.broadcast_to(np.asarray(found, dtype=float), arrays[0].shape)
         return 1.0 - share if falls else share
 
-    @property
-    def middle(self) -> float:
-        """Not known: cells at the start are not ranked by it."""
-        return 0.0
-
 
 def response(*, parameters: Mapping[str, Any]) -> Callable[[Callable[..., Any]], type[Any]]:
     """Make a law of response of a function that returns the share of the full effect.

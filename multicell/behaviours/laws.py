@@ -74,9 +74,12 @@ class ResponseLaw(ABC):
         """Return the share of the full effect at a signal, (n,)."""
 
     @property
-    @abstractmethod
     def middle(self) -> float:
-        """Signal in the middle of the response, by which cells are ranked at the start of a run."""
+        """Signal in the middle of the response, by which cells are ranked at the start of a run.
+
+        0 where none is known: they are not ranked by it.
+        """
+        return 0.0
 
     @property
     def kinks(self) -> tuple[float, ...]:
@@ -256,11 +259,6 @@ class Constant(ResponseLaw):
     def share(self, signal: FloatArray, *, falls: bool) -> Any:
         """Return ones."""
         return np.ones(np.shape(signal))
-
-    @property
-    def middle(self) -> float:
-        """There is none."""
-        return 0.0
 
 
 RESPONSE_LAWS: Final[Mapping[str, type[ResponseLaw]]] = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
@@ -28,12 +29,14 @@ Pictures = dict[str, tuple[Callable[[], "Figure"], str]]
 """Name of a file -> the function that draws it, and its caption."""
 
 
+@dataclass(frozen=True, eq=False)
 class Comparison(ABC):
     """Results of a comparison: one row for each solve, and facts about the problem."""
 
     scene: Scene
     table: list[Row]
     facts: dict[str, Any]
+
     template: ClassVar[str]
 
     @property

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any, ClassVar, Final, NamedTuple, final
@@ -18,7 +17,7 @@ from multicell.comparison.field_steps import (
     solve_fields,
     which_field,
 )
-from multicell.comparison.measure import default_budget, solve_times
+from multicell.comparison.measure import default_budget, solve_row, solve_times
 from multicell.comparison.measured import Measurements, open_measurements
 from multicell.comparison.norms import Norm
 from multicell.comparison.numbers import COMPARISON_FILES, NUMBERS_FILE
@@ -60,7 +59,6 @@ FIELD_NORMS: Final[dict[str, Norm]] = {
 
 
 @final
-@dataclass(frozen=True, eq=False)
 class FieldPrecision(Precision):
     """Error and time of each solver on the fields of a coupling step.
 
@@ -175,9 +173,14 @@ def compare_fields(
                 share = total / len(chosen)
                 table += _climb(solver, step, exact, (patience, share), measured, tell)
         tell("timing, all solvers in turns")
-        _time(table, step, repeats)
+        solved = [(row, list[tuple[float, float]]()) for row in table if row["status"] == SOLVED]
+        for _ in range(repeats):
+            for row, times in solved:
+                again = solve_fields(step, row["method"], row["control"], row["setting"])
+                times.append((again.wall, again.cpu))
+                row.update(solve_times(times))
         facts = _facts(step, exact, [] if methods is None else chosen)
-        result = FieldPrecision(described, table, exact.errors, facts, clock)
+        result = FieldPrecision(described, table, facts, exact.errors, clock)
         if output is not None:
             result.save(output)
     return result
@@ -308,21 +311,8 @@ def _climb(
 
 
 def _row(name: str, control: str, setting: float, status: str, **known: Any) -> Row:
-    """Return one row of the table; what is not known is NaN."""
-    errors = (f"error_{norm}" for norm in FIELD_NORMS)
-    unknown = dict.fromkeys((*solve_times([(0.0, 0.0)]), "spent", *errors, "steps"), math.nan)
-    first = {"method": name, "control": control, "setting": setting, "status": status, "words": ""}
-    return {**first, **unknown, **known, "mode": _MODE}
-
-
-def _time(table: Sequence[Row], step: FieldStep, repeats: int) -> None:
-    """Time all solves again, all solvers in turns."""
-    solved = [(row, list[tuple[float, float]]()) for row in table if row["status"] == SOLVED]
-    for _ in range(repeats):
-        for row, times in solved:
-            found = solve_fields(step, row["method"], row["control"], row["setting"])
-            times.append((found.wall, found.cpu))
-            row.update(solve_times(times))
+    columns = *(f"error_{norm}" for norm in FIELD_NORMS), "steps"
+    return solve_row(name, control, setting, status, columns, _MODE, **known)
 
 
 def _facts(step: FieldStep, exact: _Exact, named: list[str]) -> dict[str, Any]:

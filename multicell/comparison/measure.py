@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from statistics import median
@@ -163,12 +163,28 @@ def _solve_row(
 
 
 def _row(method: Method, setting: float, exact: Reference, status: str, **known: Any) -> Row:
-    """Return one row of the table; what is not known is NaN."""
-    unmeasured = _columns(dict.fromkeys(exact.norms, math.nan), exact)
-    unknown = (*solve_times([(0.0, 0.0)]), "spent", *unmeasured, "cost", *vars(ChosenWork()))
-    first = {"method": method.name, "control": method.control, "setting": setting}
-    known = {"status": status, "words": "", **dict.fromkeys(unknown, math.nan), **known}
-    return {**first, **known, "mode": exact.problem.mode}
+    columns = (*_columns(dict.fromkeys(exact.norms, math.nan), exact), "cost", *vars(ChosenWork()))
+    return solve_row(
+        method.name, method.control, setting, status, columns, exact.problem.mode, **known
+    )
+
+
+def solve_row(
+    method: str,
+    control: str,
+    setting: float,
+    status: str,
+    columns: Iterable[str],
+    mode: str,
+    **known: Any,
+) -> Row:
+    """Return one row of a table of solves; what is not known of it is NaN.
+
+    - ``columns``: of errors and of what is counted; all tables have those of times
+    """
+    first = {"method": method, "control": control, "setting": setting, "status": status}
+    unknown = dict.fromkeys((*solve_times([(0.0, 0.0)]), "spent", *columns), math.nan)
+    return {**first, "words": "", **unknown, **known, "mode": mode}
 
 
 def solve_times(repeats: Sequence[tuple[float, float]]) -> dict[str, float]:

@@ -13,7 +13,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.comparison.base import CLOCKS, FAILED, SKIPPED, SOLVED, Row
 from multicell.comparison.ladders import SMALLEST_TOLERANCE
-from multicell.comparison.measure import default_budget, solve_times
+from multicell.comparison.measure import default_budget, solve_row, solve_times
 from multicell.comparison.measured import Measurements, open_measurements
 from multicell.comparison.network_reference import (
     NetworkReference,
@@ -29,6 +29,7 @@ from multicell.comparison.network_steps import (
     which_network,
 )
 from multicell.comparison.norms import Norm
+from multicell.comparison.null_methods import root_mean_square
 from multicell.comparison.numbers import COMPARISON_FILES, NUMBERS_FILE
 from multicell.comparison.precision import Precision
 from multicell.comparison.record import SAMPLES, sample_size
@@ -65,16 +66,12 @@ def _over(of: Callable[[FloatArray], Any], steps: Callable[[list[Any]], Any]) ->
     return lambda errors: float(steps([of(error) for error in errors]))
 
 
-def _rms(error: FloatArray) -> float:
-    return float(np.sqrt(np.square(error).mean()))
-
-
 _SIZE: Final = "their size"
 NETWORK_NORMS: Final = {
     norm.name: norm
     for norm in (
-        Norm("state", "states", "worst", _SIZE, _over(_rms, max)),
-        Norm("state_median", "states", "median", _SIZE, _over(_rms, np.median)),
+        Norm("state", "states", "worst", _SIZE, _over(root_mean_square, max)),
+        Norm("state_median", "states", "median", _SIZE, _over(root_mean_square, np.median)),
         Norm("worst_cell", "worst state of a cell", "worst", _SIZE, _over(np.max, max)),
         Norm(
             "worst_cell_median", "worst state of a cell", "median", _SIZE, _over(np.max, np.median)
@@ -85,7 +82,6 @@ NETWORK_NORMS: Final = {
 
 
 @final
-@dataclass(frozen=True, eq=False)
 class NetworkPrecision(Precision):
     """Error and cost of each method of a network.
 
@@ -218,7 +214,7 @@ def compare_networks(
             for point in points:
                 point.time(problem)
         facts = _facts(problem, exact, [] if methods is None else asked)
-        result = NetworkPrecision(described, table, _norms(exact.errors), facts, clock)
+        result = NetworkPrecision(described, table, facts, _norms(exact.errors), clock)
         if output is not None:
             result.save(output)
     return result
@@ -298,18 +294,10 @@ class _Climber:
         )
 
     def _row(self, setting: float, status: str, **known: Any) -> Row:
-        """Return a row of the table; what is not known is NaN."""
-        first = {
-            "method": self.method.name,
-            "control": "step" if self.method.fixed else "tolerance",
-            "setting": setting,
-            "status": status,
-            "words": "",
-        }
-        columns = [*solve_times([(0.0, 0.0)]), "spent", *(f"error_{x}" for x in NETWORK_NORMS)]
-        unknown = dict.fromkeys([*columns, "cost", *_COUNTS], math.nan)
-        mode = f"{len(self.problem.steps)} of {self.problem.total} coupling steps"
-        return {**first, **unknown, **known, "mode": mode}
+        control = "step" if self.method.fixed else "tolerance"
+        columns = *(f"error_{norm}" for norm in NETWORK_NORMS), "cost", *_COUNTS
+        mode = self.problem.mode
+        return solve_row(self.method.name, control, setting, status, columns, mode, **known)
 
 
 def _norms(errors: list[FloatArray]) -> dict[str, float]:
@@ -323,7 +311,7 @@ def _facts(problem: NetworkProblem, exact: NetworkReference, named: list[str]) -
     return {
         "network": problem.part.name,
         "cells": problem.cells,
-        "mode": f"{len(problem.steps)} of {problem.total} coupling steps",
+        "mode": problem.mode,
         "stepwise": len(problem.steps),
         "coupling_steps": len(problem.steps),
         "time": problem.span,

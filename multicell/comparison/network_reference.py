@@ -9,7 +9,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.comparison.network_steps import SURE, NetworkProblem, NetworkStep, solve_steps
 from multicell.errors import StepFailed
-from multicell.networks.solver import Inside, NetworkSolver
+from multicell.networks.solver import Inside
 
 _AGAIN: Final = 10.0  # times the reference's tolerance, of the solve that it is compared with
 _MOST: Final = 1_000_000  # steps of CVODE
@@ -75,8 +75,8 @@ def cvode_end(
     fall = step.growth[row] * part.diluted
 
     def rates(t: float, y: FloatArray, out: FloatArray) -> None:
-        here = Inside(np.array([y]), cell.p, cell.memory)
-        out[:] = _rates(solver, here, before + t / step.span * change, step.start + t) - fall * y
+        here, inputs = Inside(np.array([y]), cell.p, cell.memory), before + t / step.span * change
+        out[:] = solver.rates(here, inputs, step.start + t)[0] - fall * y
 
     cvode: Any = CVODE(
         rates,
@@ -89,10 +89,6 @@ def cvode_end(
     if not found.success:
         raise RuntimeError(f"CVODE stopped: {found.message}")
     return np.array(found.y[-1])
-
-
-def _rates(solver: NetworkSolver, here: Inside, u: FloatArray, time: float) -> FloatArray:
-    return np.asarray(solver.rates(here, u, time)[0])
 
 
 def largest_rates(problem: NetworkProblem) -> list[float]:

@@ -77,6 +77,11 @@ class NetworkProblem:
         return [replace(self, steps=[step], before=[before]) for step, before in pairs]
 
     @property
+    def mode(self) -> str:
+        """How many of the run's steps they are, in words."""
+        return f"{len(self.steps)} of {self.total} coupling steps"
+
+    @property
     def cells(self) -> list[int]:
         """Fewest and most cells of a step."""
         counts = [len(step.before) for step in self.steps]

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, final
 
 import numpy as np
@@ -137,8 +138,8 @@ def _rms(position: FloatArray, other: FloatArray) -> float:
     return float(np.sqrt(np.square(position - other).sum(axis=1).mean()))
 
 
-def _worst(position: FloatArray, other: FloatArray) -> float:
-    """Return the largest distance of a cell from its other place, µm."""
+def worst_distance(position: FloatArray, other: FloatArray) -> float:
+    """Return the largest distance of a cell between two states, µm."""
     return float(np.sqrt(np.square(position - other).sum(axis=1).max()))
 
 
@@ -150,7 +151,8 @@ def displacements(
     Returns (m,) µm: root mean square over the cells; (m,) µm: the worst cell.
     """
     pairs = list(zip(positions, others, strict=True))
-    return np.array([_rms(a, b) for a, b in pairs]), np.array([_worst(a, b) for a, b in pairs])
+    worst = np.array([worst_distance(a, b) for a, b in pairs])
+    return np.array([_rms(a, b) for a, b in pairs]), worst
 
 
 def _position(
@@ -163,6 +165,9 @@ def _position(
         return float(over(np.array([of(a, b) for a, b in pairs]))) / radius
 
     return measure
+
+
+_worst_cell = partial(_position, of=worst_distance)
 
 
 def _energy(found: Observed, exact: Observed, radius: float) -> float:
@@ -183,10 +188,8 @@ NORMS: Final[dict[str, Norm]] = {
         Norm("position", "positions", "worst", "mean radius", _position(np.max)),
         Norm("position_median", "positions", "median", "mean radius", _position(np.median)),
         Norm("position_final", "positions", "last", "mean radius", _position(lambda x: x[-1])),
-        Norm("worst_cell", "worst cell", "worst", "mean radius", _position(np.max, _worst)),
-        Norm(
-            "worst_cell_median", "worst cell", "median", "mean radius", _position(np.median, _worst)
-        ),
+        Norm("worst_cell", "worst cell", "worst", "mean radius", _worst_cell(np.max)),
+        Norm("worst_cell_median", "worst cell", "median", "mean radius", _worst_cell(np.median)),
         Norm("energy", "contact energy", "worst", "its largest value", _energy),
         Norm("gyration", "radius of gyration", "worst", "itself", _gyration),
     )

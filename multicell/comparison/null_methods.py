@@ -89,8 +89,8 @@ class MotionScale:
         left = np.linalg.norm(residual_motion(start, end), axis=1)
         least = RESOLUTION * radius
         moved = np.linalg.norm(end - start, axis=1)
-        rms = _rms(left)
-        return cls(max(rms, least), max(float(left.max()), least), rms, _rms(moved))
+        rms = root_mean_square(left)
+        return cls(max(rms, least), max(float(left.max()), least), rms, root_mean_square(moved))
 
     def errors(self, found: FloatArray, exact: FloatArray) -> tuple[float, float]:
         """Return how far an end is off, dimensionless: all cells, and the worst cell.
@@ -99,8 +99,9 @@ class MotionScale:
         worst one its distance, over :attr:`largest`.
         """
         off = np.linalg.norm(found - exact, axis=1)
-        return _rms(off) / self.rms, float(off.max()) / self.largest
+        return root_mean_square(off) / self.rms, float(off.max()) / self.largest
 
 
-def _rms(values: FloatArray) -> float:
+def root_mean_square(values: FloatArray) -> float:
+    """Return the root of the mean of all squares."""
     return float(np.sqrt(np.mean(values**2)))

@@ -44,7 +44,8 @@ COMPARISON_FILES: Final = (
 class SolveTable(Comparison):
     """Error and cost of each method as numbers, without pictures; abstract.
 
-    - ``scene``, ``table``, ``facts``: see :class:`multicell.comparison.base.Comparison`
+    Besides scene, table and facts of all comparisons:
+
     - ``uncertainty``, norm -> float: of the reference: an error is known no better than this
     - ``clock``, "wall" or "cpu": the time that judges
     - ``conditioning``: of single coupling steps, where it is known
@@ -52,10 +53,7 @@ class SolveTable(Comparison):
     - ``counts``: columns of work that charts draw errors over, besides time
     """
 
-    scene: Scene
-    table: list[Row]
     uncertainty: dict[str, float]
-    facts: dict[str, Any]
     clock: str = "wall"
     conditioning: Conditioning | None = None
 
@@ -94,8 +92,8 @@ class SolveTable(Comparison):
         return cls(
             Scene.from_dict(table["scene"]),
             solves,
-            uncertainty,
             table["facts"],
+            uncertainty,
             table["clock"],
             Conditioning.from_dict(table["conditioning"]),
         )

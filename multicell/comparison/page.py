@@ -39,28 +39,6 @@ CAPTIONS: Final = {
 }
 
 
-CELL_NOTE: Final = (
-    "Times in s; errors of the positions (root mean square over the cells) and of the worst cell, "
-    "each the largest over the times or steps, in mean radii and µm; beside it the median step's "
-    "worst cell over that after a shift of all positions; cost in evaluations, where a "
-    "linearisation counts 2 and a product J·v 0.65."
-)
-"""Note of the table of all solves, and its columns: of the result's table -> title, format."""
-CELL_COLUMNS: Final = {
-    "wall": ("wall", "{:.3g}"),
-    "cpu": ("processor", "{:.3g}"),
-    "error_position": ("error", "{:.2e}"),
-    "error_worst_cell": ("worst cell", "{:.2e}"),
-    "worst_cell_um": ("worst cell / µm", "{:.2e}"),
-    "worst_cell_over_shift": ("median step / shift", "{:.2g}"),
-    "cost": ("cost", "{:,.0f}"),
-    "evaluations": ("evaluations", "{:,.0f}"),
-    "linearisations": ("linearisations", "{:,.0f}"),
-    "jacobian_products": ("J·v", "{:,.0f}"),
-    "steps": ("steps", "{:,.0f}"),
-}
-
-
 def comparison_context(result: SolveTable) -> dict[str, Any]:
     """Return the fields of ``compare.html``."""
     return {

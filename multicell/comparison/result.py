@@ -2,17 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar, final
+from typing import ClassVar, Final, final
 
 from multicell.comparison.norms import NORMS, Norm, described
 from multicell.comparison.precision import Precision
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import find
 
+_NOTE: Final = (
+    "Times in s; errors of the positions (root mean square over the cells) and of the worst cell, "
+    "each the largest over the times or steps, in mean radii and µm; beside it the median step's "
+    "worst cell over that after a shift of all positions; cost in evaluations, where a "
+    "linearisation counts 2 and a product J·v 0.65."
+)
+"""Note of the table of all solves, and its columns: of the result's table -> title, format."""
+_COLUMNS: Final = {
+    "wall": ("wall", "{:.3g}"),
+    "cpu": ("processor", "{:.3g}"),
+    "error_position": ("error", "{:.2e}"),
+    "error_worst_cell": ("worst cell", "{:.2e}"),
+    "worst_cell_um": ("worst cell / µm", "{:.2e}"),
+    "worst_cell_over_shift": ("median step / shift", "{:.2g}"),
+    "cost": ("cost", "{:,.0f}"),
+    "evaluations": ("evaluations", "{:,.0f}"),
+    "linearisations": ("linearisations", "{:,.0f}"),
+    "jacobian_products": ("J·v", "{:,.0f}"),
+    "steps": ("steps", "{:,.0f}"),
+}
+
 
 @final
-@dataclass(frozen=True, eq=False)
 class WorkPrecision(Precision):
     """Error and cost of each method.
 
@@ -33,10 +52,10 @@ class WorkPrecision(Precision):
         (evaluations, with linearisations and Jacobian products by their weights), the counts of
         :class:`multicell.mechanics.motion.Work`, and ``mode`` (``"whole run"``, or how many of the
         coupling steps were compared one by one). What a failed or skipped solve lacks is NaN.
-    uncertainty : norm -> float
-        Of the reference: an error is known no better than this.
     facts : dict
         About the problem and the reference.
+    uncertainty : norm -> float
+        Of the reference: an error is known no better than this.
     clock : "wall" or "cpu"
         The time that judges.
     conditioning : Conditioning or None
@@ -57,6 +76,4 @@ class WorkPrecision(Precision):
 
     def shown(self) -> tuple[str, dict[str, tuple[str, str]]]:
         """Return a note and the columns of the page's table of all solves."""
-        from multicell.comparison.page import CELL_COLUMNS, CELL_NOTE
-
-        return CELL_NOTE, CELL_COLUMNS
+        return _NOTE, _COLUMNS

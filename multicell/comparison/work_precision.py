@@ -184,7 +184,7 @@ def compare(
         if metrics:
             facts["metrics"] = list(metrics)
         result = WorkPrecision(
-            described, table, exact.uncertainty, facts, clock, exact.conditioning
+            described, table, facts, exact.uncertainty, clock, exact.conditioning
         )
         if output is not None:
             result.save(output)

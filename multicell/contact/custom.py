@@ -53,7 +53,6 @@ class UserLaw(OwnLaw, PairLaw):
     ``evaluate`` gives all three.
     """
 
-    _type_of_constants: ClassVar[Any]
     _reach: ClassVar[Scalar | None]
     _asks_rest: ClassVar[bool]
     _rest_overlap: ClassVar[Scalar]
@@ -109,10 +108,6 @@ class UserLaw(OwnLaw, PairLaw):
                 problem = f"'{code.co_filename}', line {code.co_firstlineno}, returns {kind}"
                 hint = "NumPy's where gives an array: write 'a if condition else b' of numbers."
                 raise SceneError("contact.law", f"{problem}, must return a number", hint)
-
-    def constants(self) -> Any:
-        """Return the parameters as the law's function takes them."""
-        return self._type_of_constants(*(float(getattr(self, name)) for name in specs(self)))
 
     def scaled_by_pairs(self) -> ScaledAttraction | None:
         """Return a law whose attraction is in proportion to a factor of each pair of types."""
@@ -217,7 +212,7 @@ def pair_law(
             force_alone=force_alone(push, reach),
         )
         own = {
-            "_type_of_constants": constants,
+            "_constants": constants,
             "_reach": None if reach is None else staticmethod(reach),
             "_rest_overlap": staticmethod(rest_search(push, reach)),
             "_parts": {name: part for name, part in parts.items() if part is not None},

@@ -22,7 +22,7 @@ is stable at prescribed distance. :func:`beyond_turning` solves the quartic on i
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -90,7 +90,6 @@ def exact_jkr(
     return force if touches else 0.0, stiffness if touches else 0.0, energy if touches else 0.0
 
 
-_Constants = constants_of(exact_jkr)
 _beyond_turning = np.frompyfunc(beyond_turning, 1, 1)
 
 
@@ -125,14 +124,11 @@ class ExactJKR(PairLaw):
     surface_energy: float = quantity(
         "nN/um", default=0.1, at_least=0.0, doc="Work of adhesion w of a contact"
     )
+    _constants: ClassVar[Any] = constants_of(exact_jkr)
 
     def adhesion_of(self, surface_energy: ArrayLike) -> FloatArray:
         """Return √(6πw) in (nN/µm)^½; see :func:`exact_units` for a surface energy of zero."""
         return super().adhesion_of(np.maximum(surface_energy, _LEAST_ENERGY))
-
-    def constants(self) -> Any:
-        """Return nothing: adhesion and unit of overlap are the pair's own."""
-        return _Constants()
 
     def describe(self, energy: str) -> str:
         """Return the law in words."""

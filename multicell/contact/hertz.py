@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, final
-
-import numpy as np
-from numpy.typing import ArrayLike
+from typing import Any, ClassVar, final
 
 from multicell.contact.constants import TINY, constants_of
 from multicell.contact.law import PairLaw
 from multicell.schema import parameters
-
-if TYPE_CHECKING:
-    from multicell.cells import FloatArray
 
 
 def hertz(overlap: float, modulus: float, radius: float, p: Any) -> tuple[float, float, float]:
@@ -23,22 +17,13 @@ def hertz(overlap: float, modulus: float, radius: float, p: Any) -> tuple[float,
     return force, 1.5 * force / (h + TINY), 0.4 * force * h
 
 
-_Constants = constants_of(hertz)
-
-
 @final
 @parameters
 class Hertz(PairLaw):
     """Elastic spheres without adhesion: F = E_ij √r_ij h^{3/2} (equation 3.2)."""
 
-    def constants(self) -> Any:
-        """Return nothing: the law has no constants."""
-        return _Constants()
+    _constants: ClassVar[Any] = constants_of(hertz)
 
     def describe(self, energy: str) -> str:
         """Return the law in words."""
         return "Hertz: elastic, nothing sticks"
-
-    def equilibrium_overlap(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
-        """Return zero: spheres that only repel rest at first contact (µm)."""
-        return np.zeros(np.broadcast_shapes(np.shape(modulus), np.shape(radius)))

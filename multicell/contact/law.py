@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from multicell.contact.constants import function_of
+from multicell.contact.constants import SHARED, function_of
 from multicell.schema import specs
 
 if TYPE_CHECKING:
@@ -71,6 +71,8 @@ class PairLaw(ABC):
     scales: ClassVar[bool] = True
     without_adhesion: ClassVar[str] = ""
     acts: ClassVar[bool] = True
+    _constants: ClassVar[Any]
+    """Type of the constants of the law's function, made by ``constants_of``."""
 
     @property
     def is_sticky(self) -> bool:
@@ -101,17 +103,18 @@ class PairLaw(ABC):
         """Raise ``SceneError`` with file and line if numba cannot compile the law."""
         return
 
-    @abstractmethod
     def constants(self) -> Any:
-        """Return the constants of the law's function, made by ``constants_of``."""
+        """Return the constants of the law's function: its parameters of the same names."""
+        own = self._constants
+        return own(*(float(getattr(self, name)) for name in own._fields[: -len(SHARED)]))
 
     @abstractmethod
     def describe(self, energy: str) -> str:
         """Return the law in words; ``energy`` states its surface energy."""
 
-    @abstractmethod
     def equilibrium_overlap(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
-        """Return the overlap without force in µm."""
+        """Return the overlap without force in µm; zero for laws that rest at first contact."""
+        return np.zeros(np.broadcast_shapes(np.shape(modulus), np.shape(radius)))
 
     def reach(
         self, modulus: ArrayLike, radius: ArrayLike, *, rest: ArrayLike | None = None

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
-import numpy as np
-from numpy.typing import ArrayLike
-
 from multicell.contact.constants import constants_of
 from multicell.contact.law import PairLaw
 from multicell.errors import SceneError
 from multicell.schema import parameters
 
 if TYPE_CHECKING:
-    from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
 
 
@@ -21,8 +17,6 @@ def nothing(overlap: float, modulus: float, radius: float, p: Any) -> tuple[floa
     """Return no force, stiffness and energy."""
     return 0.0, 0.0, 0.0
 
-
-_Constants = constants_of(nothing)
 
 _BETWEEN_CELLS = ("adhesion", "friction", "compression", "pull")
 """Parts of a scene that mean something only where cells that touch act on each other."""
@@ -34,18 +28,11 @@ class NoContact(PairLaw):
     """No force between cells, and no pairs of cells: what does not push itself stays in place."""
 
     acts: ClassVar[bool] = False
-
-    def constants(self) -> Any:
-        """Return nothing: the law has no constants."""
-        return _Constants()
+    _constants: ClassVar[Any] = constants_of(nothing)
 
     def describe(self, energy: str) -> str:
         """Return the law in words."""
         return "none: cells do not act on each other and may share a place"
-
-    def equilibrium_overlap(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
-        """Return zero, µm: there is no force anywhere."""
-        return np.zeros(np.broadcast_shapes(np.shape(modulus), np.shape(radius)))
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ``SceneError`` for parts of the scene that act where cells touch."""

@@ -20,7 +20,7 @@ Heiland, Friedman, Mumenthaler and Macklin, PLoS Comput. Biol. 14 (2018) e100599
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -49,9 +49,6 @@ def adhesion_repulsion(
     return force, 2.0 * (push * h - pull * x), (push * h * h * h - pull * x * x * x) / 3.0
 
 
-_Constants = constants_of(adhesion_repulsion, "length", "cutoff")
-
-
 @final
 @parameters
 class PhysiCell(PairLaw):
@@ -70,10 +67,7 @@ class PhysiCell(PairLaw):
     cutoff: float = number(
         default=1.25, at_least=1.0, at_most=10.0, doc="largest distance of adhesion / rest distance"
     )
-
-    def constants(self) -> Any:
-        """Return the constants of :func:`adhesion_repulsion`."""
-        return _Constants(self.length, self.cutoff)
+    _constants: ClassVar[Any] = constants_of(adhesion_repulsion, "length", "cutoff")
 
     def describe(self, energy: str) -> str:
         """Return the law in words."""

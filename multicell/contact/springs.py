@@ -89,24 +89,22 @@ def _at_rest(overlap: float, modulus: float, radius: float, p: Any, rest: float)
     return 0.0
 
 
-def _stiffness() -> Any:
-    return quantity("nN/um", default=1.0, above=0.0, doc="Spring stiffness μ at rest")
-
-
 def _cutoff(**least: Any) -> Any:
     words = "Largest distance at which the law acts / rest distance"
     return number(default=1.5, at_most=10.0, doc=words, **least)
 
 
+@parameters
 class Spring(PairLaw):
     """Base of the spring laws: zero beyond their cutoff and in equilibrium at rest.
 
     ``force``, ``stiffness`` and ``energy`` need the keyword ``rest`` (µm).
     """
 
-    stiffness_at_rest: float
-    cutoff: float
-    _constants: ClassVar[Any]
+    stiffness_at_rest: float = quantity(
+        "nN/um", default=1.0, above=0.0, doc="Spring stiffness μ at rest"
+    )
+    cutoff: float = _cutoff(at_least=1.0)
 
     def constants(self) -> Any:
         """Return the parameters as the law's function takes them."""
@@ -122,10 +120,6 @@ class Spring(PairLaw):
     def scaled_by_pairs(self) -> ScaledAttraction | None:
         """Return a law whose attraction is in proportion to a factor of each pair of types."""
         return None if self.cutoff == 1.0 else ScaledAttraction(self, _at_rest)
-
-    def equilibrium_overlap(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
-        """Return zero: the pair rests at s (µm)."""
-        return np.zeros(np.broadcast_shapes(np.shape(modulus), np.shape(radius)))
 
     def list_radius(self, radius: FloatArray, modulus: float) -> FloatArray:
         """Return the radii times the cutoff, (n,) µm."""
@@ -150,8 +144,6 @@ class LinearSpring(Spring):
     μ H, as it does in CBMOS, and so it is not for integrators that need a continuous force.
     """
 
-    stiffness_at_rest: float = _stiffness()
-    cutoff: float = _cutoff(at_least=1.0)
     _constants: ClassVar[Any] = constants_of(linear, "stiffness", "cutoff")
 
 
@@ -160,7 +152,6 @@ class LinearSpring(Spring):
 class CubicSpring(Spring):
     """The cubic law of CBMOS, F = μ h (1 + h / H)²: force and slope end in zero at the cutoff."""
 
-    stiffness_at_rest: float = _stiffness()
     cutoff: float = _cutoff(above=1.0)
     _constants: ClassVar[Any] = constants_of(cubic, "stiffness", "cutoff")
 
@@ -174,8 +165,6 @@ class GeneralisedLinearSpring(Spring):
     stays finite in double precision. At the cutoff it jumps by μ H e^{-α H / s}.
     """
 
-    stiffness_at_rest: float = _stiffness()
-    cutoff: float = _cutoff(at_least=1.0)
     decay: float = number(
         default=5.0, above=0.0, at_most=1e3, doc="α: how fast the attraction fades"
     )

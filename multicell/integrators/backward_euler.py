@@ -151,7 +151,8 @@ class _Step:
             if not self.descends:
                 self.linear, _ = limited(system, SOFTENING)
             approximate.setup_preconditioner(self.dt, self.linear)
-            correction = self._correction(residual, approximate)
+            solve = self._conjugate_gradients if self.descends else self._gmres
+            correction = solve(residual, approximate)
             found = self._search(residual, correction)
             if found is None and self.descends:
                 self.descends, self.room = False, self.most_room
@@ -231,18 +232,13 @@ class _Step:
         self.system.jacobian_product(vector, out, self.linear)
         return np.asarray(vector - self.dt * out)
 
-    def _correction(self, residual: FloatArray, approximate: Sweeps | Mechanics) -> FloatArray:
-        """Solve (I - ΔtJ) x = -residual as far as ``forcing`` asks, or find a way down."""
-        if self.descends:
-            return self._conjugate_gradients(residual, approximate)
-        return self._gmres(residual, approximate)
-
     def _conjugate_gradients(
         self, residual: FloatArray, approximate: Sweeps | Mechanics
     ) -> FloatArray:
-        """Return the solution, or a way down that ends where the curvature is not positive.
+        """Solve (I - ΔtJ) x = -residual as far as ``forcing`` asks, or find a way down.
 
-        The last direction is then followed as far as cells may move (Steihaug 1983).
+        A way down ends where the curvature is not positive: the last direction is then followed as
+        far as cells may move (Steihaug 1983).
         """
         solution, left = np.zeros_like(residual), -residual
         better = np.empty_like(residual)

@@ -113,7 +113,8 @@ class UnpreconditionedCvode(_Session):
         """Take one step; ask for the full method where the last ones took many evaluations."""
         if self._probed:
             return self._probed.pop(0)
-        if self._stiff():
+        counts = self._counts
+        if len(counts) > _WINDOW and counts[-1] - counts[-1 - _WINDOW] > _BUSY * _WINDOW:
             raise Restart
         return self._advance()
 
@@ -152,11 +153,6 @@ class UnpreconditionedCvode(_Session):
         result = one_step(self.solver, self.run.left)
         self._count(result.nfev)
         return self._predictor.taken(result.t, result.y)
-
-    def _stiff(self) -> bool:
-        """Return whether the last steps took so many evaluations that the full method pays."""
-        counts = self._counts
-        return len(counts) > _WINDOW and counts[-1] - counts[-1 - _WINDOW] > _BUSY * _WINDOW
 
     def _count(self, direct: int) -> None:
         """Count the iterations of a step: SUNDIALS reports the evaluations that are no products.

@@ -80,7 +80,7 @@ def run_equal_steps(
     """Run a loop with equal steps no longer than ``method.step``; see :class:`Integrator`."""
     steps = base.count_equal_steps(system.motion.end - system.motion.begin, method.step)
     allowed = method.max_displacement
-    return _run(system, position, loop, (steps, allowed, *settings), allowed, _STEP_HINT, 0.0)
+    return _run(system, position, loop, (steps, allowed, *settings), allowed, _STEP_HINT)
 
 
 def adaptive(
@@ -92,16 +92,8 @@ def adaptive(
     **uses: bool,
 ) -> Outcome:
     """Run a loop under error control; ``uses`` are those of :func:`source_of`."""
-    return _run(
-        system,
-        position,
-        loop,
-        (control, *settings),
-        control.max_displacement,
-        _TOLERANCE_HINT,
-        control.atol,
-        **uses,
-    )
+    settings, allowed = (control, *settings), control.max_displacement
+    return _run(system, position, loop, settings, allowed, _TOLERANCE_HINT, control.atol, **uses)
 
 
 def _run(
@@ -111,7 +103,7 @@ def _run(
     settings: tuple[Any, ...],
     max_displacement: float,
     hint: str,
-    atol: float,
+    atol: float = 0.0,
     **uses: bool,
 ) -> Outcome:
     """Run a loop on a copy of the positions; count its work; put its end into words."""

@@ -31,7 +31,6 @@ from multicell.random import Purpose, normal
 
 if TYPE_CHECKING:
     from multicell.integrators.rosenbrock import Rosenbrock
-    from multicell.mechanics.motion import Motion
     from multicell.mechanics.system import Mechanics
 
 _jit = typed(**KERNEL)
@@ -244,7 +243,10 @@ class Walk:
         self._slope, self._last = np.zeros_like(position), np.zeros_like(position)
         # errors of steps of order 3 make one of the interval of order 2
         self._tolerances = method.worst * control(method, system, _ORDER, lower=2).strictness
-        self._moving = _depends_on_time(system.motion)
+        motion = system.motion
+        # velocities change while no cell moves
+        changing = (motion.radius_rate, motion.bonds, motion.push, motion.velocity)
+        self._moving = any(values is not None and bool(np.any(values)) for values in changing)
         # what drives cells keeps errors alive
         self._largest = _LARGEST if system.motion.push is None else 1.0
         self._resolvent = Resolvent(method, system)
@@ -376,9 +378,3 @@ class Walk:
             return 0.0
         self.system.velocity(begin + 0.5 * dt, self.position, self._later)
         return (2.0 * _D) * (self._later - self.velocity)
-
-
-def _depends_on_time(motion: Motion) -> bool:
-    """Return whether velocities change while no cell moves."""
-    changing = (motion.radius_rate, motion.bonds, motion.push, motion.velocity)
-    return any(values is not None and bool(np.any(values)) for values in changing)

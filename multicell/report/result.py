@@ -367,9 +367,8 @@ def recorded_scene(contents: Contents) -> Scene:
 def scene_of_text(text: str, path: Path) -> Scene:
     """Return the scene that frames are of, whose ``scene.toml`` is at ``path``."""
     from multicell.host.files import OTHER_FILE, parse_toml
-    from multicell.scene.initial_copies import COPIED_FIELD
-    from multicell.scene.networks import COPIED_NETWORK
-    from multicell.scene.scene import Scene, place_files
+    from multicell.scene.own_files import COPIED_FIELD, COPIED_NETWORK, place_files
+    from multicell.scene.scene import Scene
 
     try:
         return Scene.from_dict(place_files(parse_toml(text), path))

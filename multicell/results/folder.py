@@ -22,8 +22,7 @@ from filelock import FileLock, Timeout
 from multicell import __version__
 from multicell.errors import OutputError
 from multicell.host.interrupts import UNCUT
-from multicell.scene.initial_copies import COPIED_FIELD, initial_files_copied
-from multicell.scene.networks import COPIED_NETWORK, networks_copied
+from multicell.scene.own_files import COPIED_FIELD, COPIED_NETWORK, files_copied
 from multicell.scene.scene import Scene
 from multicell.scene.start_table import COPIES
 
@@ -368,6 +367,5 @@ def copy_of(scene: Scene, folder: Path) -> tuple[Scene, dict[str, bytes]]:
         cells = replace(table, file=str(folder / name), columns="", frame=None, time=None)
         scene = replace(scene, initial=replace(scene.initial, cells=cells))
         files[name] = content
-    scene, networks = networks_copied(scene, folder)
-    scene, fields = initial_files_copied(scene, folder)
-    return scene, {**files, **networks, **fields}
+    scene, more = files_copied(scene, folder)
+    return scene, {**files, **more}

@@ -26,7 +26,7 @@ from multicell.scene.scales import (
     touches_medium,
 )
 from multicell.scene.sizes import division_radius, internal_step, radius_scales
-from multicell.schema import leaves, near_miss, separated
+from multicell.schema import below, leaves, near_miss, separated
 
 if TYPE_CHECKING:
     from multicell.scene.parts import CellType
@@ -288,11 +288,8 @@ def _check_beginning(scene: Scene, name: str, path: str, nutrient: Nutrient) -> 
         hint = "Let the field be 'transient'."
         raise SceneError(f"{path}.{given[0]}", "has no effect: the field is steady", hint)
     if nutrient.initial_file is not None:
-        try:
+        with below(f"{path}.initial_file"):
             _check_initial_file(scene, name)
-        except SceneError as error:
-            whole = f"{path}.initial_file.{error.path}"
-            raise SceneError(whole, error.problem, error.hint) from None
     for key, release in nutrient.release.items():
         if release.type:
             check_names([release.type], scene.types, f"{path}.release.{key}.type", "a type")
@@ -476,11 +473,6 @@ _SHARED = (
 """Keys of fields that are the same for all that react with each other, as grid and geometry are."""
 
 
-def check_reactions(scene: Scene) -> None:
-    """Raise ``SceneError`` for reactions that do not fit the fields of the scene."""
-    _check_groups(scene, scene.reactions)
-
-
 def check_own(scene: Scene, reactions: Mapping[str, Any]) -> None:
     """Raise ``SceneError`` for reactions of the user's own that do not fit the scene's fields."""
     for name, reaction in reactions.items():
@@ -491,10 +483,11 @@ def check_own(scene: Scene, reactions: Mapping[str, Any]) -> None:
             if field not in scene.nutrients:
                 problem = f"depends on {field}, which is not {FIELD_HINT}"
                 raise SceneError(path, problem, near_miss(field, scene.nutrients))
-    _check_groups(scene, {**scene.reactions, **reactions})
+    check_reactions(scene, {**scene.reactions, **reactions})
 
 
-def _check_groups(scene: Scene, reactions: Mapping[str, Any]) -> None:
+def check_reactions(scene: Scene, reactions: Mapping[str, Any]) -> None:
+    """Raise ``SceneError`` for reactions that do not fit the fields of the scene."""
     for group in groups(scene.nutrients, reactions):
         _check_grid(scene, group)
         _check_regime(scene, group)

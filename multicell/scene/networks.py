@@ -20,10 +20,9 @@ from multicell.behaviours.catalogue import OF_NEIGHBOURS, SUM_OF, WEIGHTED, valu
 from multicell.errors import SceneError
 from multicell.host.files import other_file
 from multicell.scene.checks import check_kinds, check_names
-from multicell.scene.own_files import altered, made_whole
 from multicell.schema import (
     Draw,
-    Tables,
+    below,
     choice,
     drawn_numbers,
     flag,
@@ -144,6 +143,10 @@ class CellNetwork:
         assert self.sha256 is not None
         return _Document(self.file, Path(self.file).suffix.lower(), self.sha256)
 
+    def content(self) -> bytes:
+        """Return the text of the file; raises ``SceneError`` where its digest is another one."""
+        return self.document.text().encode()
+
     def seconds(self) -> float:
         """Return the unit of the network's time, s."""
         return self.model.time_unit or self.time_unit or 1.0
@@ -193,40 +196,6 @@ def _text(path: str) -> str:
 
 def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-COPIED_NETWORK: Final = ".network"
-"""In the name of the copy of a network's file in the folder of a run, ``NAME.network.ant``."""
-
-
-def networks_copied(scene: Scene, folder: Path) -> tuple[Scene, dict[str, bytes]]:
-    """Return a scene that names copies of its networks' files in a folder, and their content.
-
-    The copies need not be there yet.
-    """
-    parts, files = dict(scene.networks), {}
-    for name, part in scene.networks.items():
-        if part.file is None:
-            continue
-        title = f"{name}{COPIED_NETWORK}{part.document.suffix}"
-        try:
-            files[title] = part.document.text().encode()
-        except SceneError as error:
-            raise SceneError(f"networks.{name}.file", error.problem, error.hint) from None
-        parts[name] = altered(part, file=os.path.abspath(folder / title))
-    return (altered(scene, networks=Tables(parts)) if files else scene), files
-
-
-def place_networks(entries: dict[str, Any], source: str | Path) -> dict[str, Any]:
-    """Return the entries of a scene file with the paths of its networks made whole."""
-    tables = entries.get("networks")
-    if not isinstance(tables, dict):
-        return entries
-    placed = {
-        name: made_whole(table, source) if isinstance(table, dict) else table
-        for name, table in tables.items()
-    }
-    return {**entries, "networks": placed}
 
 
 HIDDEN: Final = "~"
@@ -320,11 +289,8 @@ def check_networks(scene: Scene, check_signal: Callable[[Scene, str, str], None]
     # all are read before any is checked: a signal of one may be a value of another
     for check in (lambda part: part.model, lambda part: _check_one(scene, part, check_signal)):
         for name, part in scene.networks.items():
-            try:
+            with below(f"networks.{name}"):
                 check(part)
-            except SceneError as error:
-                path = f"networks.{name}.{error.path}"
-                raise SceneError(path, error.problem, error.hint) from None
     network_order(scene)
 
 

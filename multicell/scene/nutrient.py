@@ -406,16 +406,11 @@ class Nutrient:
         """Return the concentration of the medium at a time in s, mM."""
         if self.media is None:
             return self.boundary
-        times = np.array([t for t, _ in self.media])
-        values = np.array([value for _, value in self.media])
+        first = () if self.media[0][0] <= 0.0 else ((0.0, self.boundary),)
+        times, values = np.array([*first, *self.media]).T
         if self.media_change == "linear":
-            start = times[0] <= 0.0
-            grid = times if start else np.append(0.0, times)
-            return float(
-                np.interp(time, grid, values if start else np.append(self.boundary, values))
-            )
-        passed = int(np.searchsorted(times, time, side="right"))
-        return float(values[passed - 1]) if passed else self.boundary
+            return float(np.interp(time, times, values))
+        return float(values[max(np.searchsorted(times, time, side="right") - 1, 0)])
 
     def switches(self, begin: float, end: float) -> list[float]:
         """Return the times of the schedule strictly between two times, s."""

@@ -227,15 +227,13 @@ class Growth:
         if not any(phase.grows for phase in self.phases.values()):
             hint = "Let grows = true in one phase at least."
             raise SceneError("phases", "have no phase in which cells grow", hint)
-        if self.volume_doubling_time is not None and self.law == "exponential":
-            hint = "Take law = 'linear' or 'relaxation'."
-            problem = "lets sizes wander without bound where growth is exponential"
-            raise SceneError("volume_doubling_time", problem, hint)
-        if self.waits.any() and self.law == "exponential":
-            name = next(name for name in CYCLE_PHASES if self.phases[name].after is not None)
-            hint = "Take law = 'linear' or 'relaxation'."
-            problem = "lets sizes wander without bound where growth is exponential"
-            raise SceneError(f"phases.{name}.after", problem, hint)
+        own_pace = [] if self.volume_doubling_time is None else ["volume_doubling_time"]
+        waits = [name for name in CYCLE_PHASES if self.phases[name].after is not None]
+        for key in (*own_pace, *(f"phases.{name}.after" for name in waits)):
+            if self.law == "exponential":
+                hint = "Take law = 'linear' or 'relaxation'."
+                problem = "lets sizes wander without bound where growth is exponential"
+                raise SceneError(key, problem, hint)
         for name, phase in self.phases.items():
             if phase.target_scale != 1.0 and self.law != "relaxation":
                 raise SceneError(f"phases.{name}.target_scale", "needs law = 'relaxation'")
@@ -474,10 +472,8 @@ class CellType:
 
     def bonds(self, time: float) -> tuple[float, float]:
         """Return receptor and ligand concentration at a time in s."""
-        receptor, ligand = (
-            float(np.interp(time, [t for t, _ in points], [value for _, value in points]))
-            for points in (self.receptor, self.ligand)
-        )
+        courses = (np.transpose(points) for points in (self.receptor, self.ligand))
+        receptor, ligand = (float(np.interp(time, *course)) for course in courses)
         return receptor, ligand
 
 

@@ -7,12 +7,7 @@ from dataclasses import MISSING
 from typing import Any, final
 
 from multicell.errors import SceneError
-from multicell.schema import (
-    choice,
-    measure,
-    parameters,
-    quantities,
-)
+from multicell.schema import choice, measure, parameters, quantities
 from multicell.units import to_base
 
 RATE_UNITS = ("mM/s", "1/s", "1/mM/s", "1/mM^2/s", "1/mM^3/s")

@@ -45,6 +45,7 @@ from multicell.scene.reactions import group_of
 from multicell.schema import (
     Bounds,
     Tables,
+    below,
     build_part,
     choice,
     flag,
@@ -361,12 +362,9 @@ def check_responses(scene: Scene) -> None:
             raise SceneError(f"nutrients.{name}", problem, "Name it otherwise.")
     made = {}
     for name, part in scene.responses.items():
-        path = f"responses.{name}"
-        try:
+        with below(f"responses.{name}"):
             made[name] = in_base_units(scene, part)
             _effect(scene, name, made[name])
-        except SceneError as error:
-            raise SceneError(f"{path}.{error.path}", error.problem, error.hint) from None
     object.__setattr__(scene, "responses", Tables(made))
     for name, part in made.items():
         for signal in part.signals:

@@ -40,9 +40,9 @@ from multicell.scene.conditions import conditions
 from multicell.scene.domain import check_domain
 from multicell.scene.driven import PrescribedMotion, check_driven
 from multicell.scene.energy import Energy, check_energy
-from multicell.scene.initial_copies import place_initial_files
-from multicell.scene.networks import CellNetwork, check_networks, place_networks
+from multicell.scene.networks import CellNetwork, check_networks
 from multicell.scene.nutrient import Nutrient
+from multicell.scene.own_files import place_files
 from multicell.scene.own_units import enter_units
 from multicell.scene.oxygen import in_concentrations
 from multicell.scene.parts import (
@@ -72,7 +72,7 @@ from multicell.scene.responses import (
     largest_factor,
     relevant_fields,
 )
-from multicell.scene.start_table import Initial, place_table
+from multicell.scene.start_table import Initial
 from multicell.schema import (
     build_part,
     count,
@@ -248,7 +248,7 @@ class Scene:
         check_driven(self)
         check_nutrients(self)
         check_energy(self)
-        check_reactions(self)
+        check_reactions(self, self.reactions)
         check_radiation(self)
         note_written(self, self.__dict__.pop("_written"))
         enter_units(self.output.observables)
@@ -312,7 +312,10 @@ class Scene:
         SceneError
             For a key that does not exist and for any value that is refused.
         """
-        changes = {**_as_changes(changes), **_nested(keys, self.to_dict() if keys else {})}
+        if not isinstance(changes, Mapping | None):
+            hint = "For example with_changes(duration='8 d') or with_changes({'duration': '8 d'})."
+            raise SceneError("changes", f"are {shown(changes)}, must be keys with values", hint)
+        changes = {**(changes or {}), **_nested(keys, self.to_dict() if keys else {})}
         changed = {str(key).partition(".")[0] for key in changes}
         # the other parts are checked already; an unknown key is looked for in all
         entries = part_as_dict(self, changed if changed <= specs(Scene).keys() else None)
@@ -422,27 +425,12 @@ def load_scene(source: str | Path) -> Scene:
     except ValueError as error:  # also integers of thousands of digits
         problem = f"{str(source)!r} is not valid TOML: {error}"
         raise SceneError("", problem, _toml_hint(content, error)) from None
-    scene = Scene.from_dict(place_files(entries, source))
+    built_in = isinstance(source, str) and source in scene_names()
+    file = _built_in(str(source)) if built_in else source
+    scene = Scene.from_dict(place_files(entries, file))
     if not content.startswith(_WRITTEN):  # whose numbers are those of its author
         note_written(scene, entries, typed=True)
     return scene
-
-
-def place_files(entries: dict[str, Any], source: str | Path) -> dict[str, Any]:
-    """Return the entries of a scene file with the paths of the files that it names made whole."""
-    if isinstance(source, str) and source in scene_names():
-        source = _built_in(source)
-    placed = place_networks(place_table(entries, source), source)
-    return place_initial_files(placed, source)
-
-
-def _as_changes(changes: object) -> dict[str, Any]:
-    if changes is None:
-        return {}
-    if not isinstance(changes, Mapping):
-        hint = "For example with_changes(duration='8 d') or with_changes({'duration': '8 d'})."
-        raise SceneError("changes", f"are {shown(changes)}, must be keys with values", hint)
-    return dict(changes)
 
 
 def _nested(keys: Mapping[str, Any], entries: Mapping[str, Any], path: str = "") -> dict[str, Any]:

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from multicell.cells import Cells, FloatArray, Phase, State
 from multicell.errors import DataError, SceneError
-from multicell.scene.own_files import made_whole
 from multicell.schema import (
+    below,
     choice,
     count,
     file_path,
@@ -221,13 +221,11 @@ class StartTable:
         found: Given | None = getattr(self, "_given", None)
         if found is None:
             assert self.sha256 is not None
-            try:
+            with below("initial.cells"):
                 found = _KNOWN.get(self.sha256)
                 found = self._read() if found is None else found
                 if len(found) != self.rows:
                     raise SceneError("rows", f"is {self.rows}, but the table has {len(found):,}")
-            except SceneError as error:
-                raise SceneError(f"initial.cells.{error.path}", error.problem, error.hint) from None
             self._hold(found)
         return found
 
@@ -287,16 +285,6 @@ class StartTable:
         table, words = found
         object.__setattr__(self, "_said", words)
         return normalise(table).content()
-
-
-def place_table(entries: dict[str, Any], source: str | Path) -> dict[str, Any]:
-    """Return the entries of a scene file with the path of its table, if it has one, made whole."""
-    initial = entries.get("initial")
-    cells = initial.get("cells") if isinstance(initial, dict) else None
-    whole = made_whole(cells, source)
-    if whole is cells:
-        return entries
-    return {**entries, "initial": {**(initial or {}), "cells": whole}}
 
 
 def in_memory(source: Any) -> StartTable:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from typing import Any, Final, TypeVar, final
 
@@ -141,8 +142,15 @@ def build_part(part: type[T], value: object, path: str = "", also: tuple[str, ..
         needed = spec.default is MISSING and spec.default_factory is MISSING
         if needed and spec.name not in entries:
             raise SceneError(_join(path, spec.name), "is missing", known[spec.name].doc)
-    try:
+    with below(path):
         return part(**entries)
+
+
+@contextmanager
+def below(path: str) -> Iterator[None]:
+    """Let ``SceneError`` of a part say where the part stands: keys are found below ``path``."""
+    try:
+        yield
     except SceneError as error:
         raise SceneError(_join(path, error.path), error.problem, error.hint) from None
 

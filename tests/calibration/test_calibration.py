@@ -15,7 +15,7 @@ from cheap_fits import CASES, check, growing, through
 import multicell as mc
 from multicell.calibration.fitting.likelihood import fresh, likelihood, scatter_of
 from multicell.calibration.fitting.pool import Pool
-from multicell.calibration.fitting.problem import FitProblem, ranges_of
+from multicell.calibration.fitting.problem import FitProblem, free_of
 from multicell.calibration.fitting.search import Search
 from multicell.calibration.fitting.simulator import SceneSimulator
 from multicell.calibration.fitting.verdict import intervals
@@ -73,7 +73,7 @@ def test_intervals_of_the_real_engine_cover_as_often_as_they_say(request):
     for repeat in range(count):
         shape = {"time / h": times, "diameter / um": [30.0] * 5, "diameter sd / um": [sigma] * 5}
         measured = read_data(shape, scene)
-        ranges = ranges_of(free, measured)
+        ranges, _ = free_of(free, measured)
         shares = 0.2 + 0.6 * rng.random(2)
         tissue = SceneSimulator.of(measured, ranges)(shares.tolist(), 0, 10**6 + repeat)
         values = np.array(tissue.values) + sigma * rng.standard_normal(5)

@@ -18,7 +18,7 @@ import multicell as mc
 from multicell.calibration.fitting.fit import plan_fit
 from multicell.calibration.fitting.likelihood import _check, scatter_of
 from multicell.calibration.fitting.pool import Pool
-from multicell.calibration.fitting.problem import ranges_of
+from multicell.calibration.fitting.problem import free_of
 from multicell.calibration.fitting.search import Search
 from multicell.calibration.fitting.simulator import SceneSimulator, reading
 from multicell.calibration.fitting.verdict import intervals, undetermined
@@ -70,7 +70,7 @@ def test_a_run_that_was_ended_by_outgrowing_its_data_has_its_last_values():
 def simulated(data, changes=None, **free):
     scene = SMALL.with_changes(changes or {})
     measured = read_data(data, scene)
-    ranges = ranges_of(free or FREE, measured)
+    ranges, _ = free_of(free or FREE, measured)
     return SceneSimulator.of(measured, ranges)
 
 

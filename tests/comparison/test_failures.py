@@ -13,7 +13,7 @@ from recorded_steps import chain_state, motile_end, motile_state, pulled_state
 import multicell as mc
 from multicell.comparison.ladders import Method, find_method
 from multicell.comparison.stability_limits.failure_charts import END_LETTERS
-from multicell.comparison.stability_limits.failure_table import FAILURE_FILES
+from multicell.comparison.stability_limits.failure_map import FAILURE_FILES
 from multicell.comparison.stability_limits.failures import (
     COARSE,
     DAMPED,

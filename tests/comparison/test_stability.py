@@ -13,8 +13,7 @@ from picture_texts import check_texts
 from multicell import OutputError, SceneError
 from multicell.comparison.ladders import Method, find_method
 from multicell.comparison.stability_limits.charts import TRIAL_COLOURS
-from multicell.comparison.stability_limits.numbers import STABILITY_FILES
-from multicell.comparison.stability_limits.result import StabilityMap
+from multicell.comparison.stability_limits.result import STABILITY_FILES, StabilityMap
 from multicell.comparison.stability_limits.search import bisect, bracket, stability
 from multicell.comparison.stability_limits.state import (
     MIN_NOTICED,

@@ -175,7 +175,7 @@ def test_the_chosen_clock_judges(monkeypatch):
     assert list(result.within(0.1)) == ["other", "exact"]
     assert [(row["wall"], row["cpu"]) for row in result.table] == [(1.0, 5.0), (4.0, 2.0)]
     assert result.figure().axes[0].get_xlabel() == "CPU time (s)"
-    by_wall = WorkPrecision(result.scene, result.table, result.uncertainty, result.facts)
+    by_wall = WorkPrecision(result.scene, result.table, result.facts, result.uncertainty)
     assert list(by_wall.within(0.1)) == ["exact", "other"]
     assert by_wall.figure().axes[0].get_xlabel() == "wall time (s)"
 

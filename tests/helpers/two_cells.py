@@ -140,7 +140,7 @@ def result_of(solves, failed=(), *, named=(), uncertainty=1e-9, scene=PAIR):
         "steps_with_events": 0, "reference": "planted", "threads": 1, "largest_decay_rate": 1.0,
         "versions": {}, "mode": "whole run", "stepwise": 0,
     }  # fmt: skip
-    return WorkPrecision(scene, table, dict.fromkeys(NORMS, uncertainty), facts)
+    return WorkPrecision(scene, table, facts, dict.fromkeys(NORMS, uncertainty))
 
 
 def ladders(names):

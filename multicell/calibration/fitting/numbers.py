@@ -148,7 +148,7 @@ class FitNumbers:
         more = {f"scatter_{name}": x for name, x in self._factors.items()}
         weight = np.full(len(shares), 1.0 / len(shares))
         frame = pandas.DataFrame({**columns, **more, "weight": weight})
-        frame.attrs = {"units": self.problem.parameter_units}
+        frame.attrs = {"units": {free.name: free.unit for free in self.problem.ranges}}
         return frame
 
     def intervals(self, level: float = LEVEL) -> dict[str, Interval]:

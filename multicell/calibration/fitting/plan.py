@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time as clock
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from multicell.calibration.fitting.likelihood import CHECKS, Fresh, fresh, most_fresh
 from multicell.calibration.fitting.pool import Pool
 from multicell.calibration.fitting.problem import FitProblem
+from multicell.calibration.fitting.result import Fit
 from multicell.calibration.fitting.search import SEARCH, Evaluation, Search
 from multicell.errors import OutputError
 from multicell.results.documents import Lines, read_document, write_table
@@ -39,7 +40,6 @@ from multicell.tables.columns import Table
 from multicell.tables.text import csv_text, table_text
 
 if TYPE_CHECKING:
-    from multicell.calibration.fitting.result import Fit
     from multicell.scene.scene import Scene
 
 FIT: Final = "fit.json"  # what the folder is a fit of
@@ -180,10 +180,10 @@ def make_runs(
     plan: FitPlan,
     folder: Path | None,
     pool: Pool,
-    facts: Mapping[str, Any] | None = None,
+    seconds: float | None = None,
     progress: Progress = lambda what, done, wanted: None,
 ) -> Fit:
-    """Make all runs of a fit that are not there; without facts they are those of these runs.
+    """Make all runs of a fit that are not there; it took ``seconds``, else as long as these runs.
 
     Where the result contradicts itself, and the plan allows more runs, the search continues.
     """
@@ -194,7 +194,8 @@ def make_runs(
         evaluations = search.run(pool, points, partial(progress, "runs of the search"))
         note = partial(progress, "fresh runs")
         again = fresh(plan.problem, search, pool, plan.repeats, note)
-        found = _found(plan, folder, facts, search, evaluations, again, clock.monotonic() - begin)
+        taken = clock.monotonic() - begin if seconds is None else seconds
+        found = _found(plan, folder, search, evaluations, again, taken)
         if len(evaluations) >= most or not found.contradictions:
             return found
         points = min(len(evaluations) + plan.round, most)
@@ -203,15 +204,12 @@ def make_runs(
 def _found(
     plan: FitPlan,
     folder: Path | None,
-    facts: Mapping[str, Any] | None,
     search: Search,
     evaluations: Sequence[Evaluation],
     again: Fresh,
     seconds: float,
 ) -> Fit:
-    from multicell.calibration.fitting.result import Fit
-
-    own = {
+    facts = {
         "sd": plan.sd,
         "specimens": plan.specimens,
         "seeds": list(plan.problem.seeds),
@@ -224,7 +222,6 @@ def _found(
     if again.problem is not None:
         problem, stated = again.problem, problem
         evaluations = search.on(problem).evaluations()
-    facts = facts or own
     return Fit(problem, plan.scene, evaluations, folder, facts, again, search.readings, stated)
 
 

@@ -14,21 +14,19 @@ Call = tuple[Any, Callable[..., Any], tuple[Any, ...]]
 """What a result comes back with, the function, and its arguments."""
 
 
-def _here(function: Callable[..., Any], *arguments: Any) -> Any:
-    return function(*arguments)
-
-
 @final
 class Pool:
     """A pool that makes calls: of workers, or in this process.
 
     - ``connect``: starts workers, when they are first needed, and returns a client of Dask; None:
       this process
-    - ``call``: makes one call in this process
+    - ``call``: makes one call in this process, of a function and its arguments
     """
 
     def __init__(
-        self, connect: Callable[[], Any] | None = None, call: Callable[..., Any] = _here
+        self,
+        connect: Callable[[], Any] | None = None,
+        call: Callable[..., Any] = lambda function, *arguments: function(*arguments),
     ) -> None:
         self._connect, self._call = connect, call
 

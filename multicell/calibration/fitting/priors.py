@@ -193,9 +193,7 @@ def split_free(
 
 
 def prior_of(
-    ranges: Sequence[Range],
-    densities: Sequence[Density | None],
-    constraints: Constraints = NO_CONSTRAINTS,
+    ranges: Sequence[Range], densities: Sequence[Density | None], constraints: Constraints
 ) -> Prior:
     """Return the prior of free parameters."""
     if not any(densities):

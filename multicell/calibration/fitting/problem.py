@@ -32,7 +32,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.calibration.fitting.constraints import NO_CONSTRAINTS, Constraints
+from multicell.calibration.fitting.constraints import Constraints
 from multicell.calibration.fitting.priors import Prior, prior_of, split_free
 from multicell.calibration.fitting.simulator import Reading, Simulator
 from multicell.errors import SceneError
@@ -128,11 +128,6 @@ class FitProblem:
         columns = zip(self.ranges, shares.T, strict=True)
         return {free.name: [free.value(float(x)) for x in column] for free, column in columns}
 
-    @property
-    def parameter_units(self) -> dict[str, str]:
-        """Base units of the parameters by name."""
-        return {free.name: free.unit for free in self.ranges}
-
     def on_scales(self, condition: int, reading: Reading) -> Array:
         """Return the readings of a run on the scales of its data; NaN where there is nothing."""
         data = self.measured.of(condition)
@@ -161,37 +156,26 @@ class FitProblem:
         return groups_of(self.measured.data)
 
 
-def ranges_of(
-    free: Mapping[str, str | Sequence[object]],
-    measured: Measured,
-    constraints: str | Sequence[str] = (),
-) -> tuple[Range, ...]:
-    """Return the ranges of free parameters."""
-    for condition in measured.conditions:
-        for key in free:
-            if key in condition.changes:
-                problem = "is a condition of the data, so that no fit can choose it"
-                raise SceneError(key, problem)
-    ranges = parse_ranges(free, measured.conditions[0].scene)
-    tried = Constraints.of(constraints, ranges).apart() if constraints else ranges
-    for condition in measured.conditions:
-        try:
-            check_ranges(condition.scene, tried)
-        except SceneError as error:
-            if not condition.changes:
-                raise
-            problem = f"{error.problem} (under the condition '{condition.label}')"
-            raise SceneError(error.path, problem, error.hint) from None
-    return ranges
-
-
 def free_of(
     free: Mapping[str, Any], measured: Measured, constraints: str | Sequence[str] = ()
 ) -> tuple[tuple[Range, ...], Prior]:
     """Return the ranges and the prior of free parameters, some of which have distributions."""
     plain, densities = split_free(free, measured.conditions[0].scene)
-    ranges = ranges_of(plain, measured, constraints)
-    orders = Constraints.of(constraints, ranges) if constraints else NO_CONSTRAINTS
+    for condition in measured.conditions:
+        for key in plain:
+            if key in condition.changes:
+                problem = "is a condition of the data, so that no fit can choose it"
+                raise SceneError(key, problem)
+    ranges = parse_ranges(plain, measured.conditions[0].scene)
+    orders = Constraints.of(constraints, ranges)
+    for condition in measured.conditions:
+        try:
+            check_ranges(condition.scene, orders.apart())
+        except SceneError as error:
+            if not condition.changes:
+                raise
+            problem = f"{error.problem} (under the condition '{condition.label}')"
+            raise SceneError(error.path, problem, error.hint) from None
     return ranges, prior_of(ranges, list(densities.values()), orders)
 
 

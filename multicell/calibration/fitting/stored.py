@@ -17,16 +17,6 @@ from multicell.results.documents import read_document
 from multicell.results.folder import to_json
 from multicell.studies.runs import MODEL_VERSION
 
-FACTS: Final = (
-    "sd",
-    "specimens",
-    "seeds",
-    "repeats",
-    "sets_of_parameters",
-    "fresh_runs",
-    "seconds",
-)
-
 _MENDS: Final = "The same 'multicell fit' in this folder writes them again, without a new run"
 
 
@@ -53,12 +43,11 @@ def load_fit(folder: str | Path) -> Fit:
         why = "" if folder.is_dir() else ": there is no such folder"
         raise OutputError(f"'{folder}' holds no fit that is done{why}")
     plan = _stored_plan(folder, result)
-    facts = {name: value for name, value in result.items() if name in FACTS}
 
     def refuse(*call: Any) -> None:
         raise OutputError(f"'{folder}' lacks runs of its fit: the same fit makes them again")
 
-    return make_runs(plan, folder, Pool(call=refuse), facts)
+    return make_runs(plan, folder, Pool(call=refuse), result.get("seconds"))
 
 
 def _stored_plan(folder: Path, result: dict[str, Any]) -> FitPlan:

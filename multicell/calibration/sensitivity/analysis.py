@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.calibration.sensitivity.indices import (
     INDEX_COLUMNS,
@@ -16,16 +16,15 @@ from multicell.calibration.sensitivity.indices import (
     sample,
     sensitivity_indices,
 )
-from multicell.calibration.sensitivity.plan import SensitivityPlan
+from multicell.calibration.sensitivity.numbers import Row, failure_notes, index_rows
 from multicell.calibration.sensitivity.result import Sensitivity, SobolIndices
 from multicell.calibration.sensitivity.sobol import sobol_result, sobol_sample
 from multicell.host.extras import needs
-from multicell.results.quantities import known_unit
 from multicell.scene.scene import load_scene
 from multicell.schema import chosen
 from multicell.studies.axes import Range, check_ranges, parse_ranges
 from multicell.studies.limits import MAX_POINTS, check_runs, check_seeds, whole_between
-from multicell.studies.plan import make_plan
+from multicell.studies.plan import Plan, make_plan
 from multicell.studies.readings import chosen_observables, read_final
 from multicell.studies.study import Study, write_study
 
@@ -111,6 +110,31 @@ def sensitivity(
     return result
 
 
+@final
+@dataclass(frozen=True)
+class SensitivityPlan:
+    """An analysis that was checked and has not run.
+
+    - ``scene``, ``ranges``, ``size``, ``observables``, ``method``: as in
+      :func:`multicell.sensitivity`
+    - ``study``: the plan of its runs: the points that differ, as a list
+    - ``rows``, (n,): the number of each point of the sample in the study
+    """
+
+    scene: Scene
+    ranges: tuple[Range, ...]
+    size: int
+    observables: tuple[str, ...]
+    study: Plan
+    rows: tuple[int, ...]
+    method: str = "morris"
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """The seeds of the runs at each point."""
+        return tuple(range(self.scene.seed, self.scene.seed + self.study.seeds))
+
+
 def plan_sensitivity(
     scene: Scene | str | Path,
     free: Mapping[str, Any],
@@ -162,11 +186,9 @@ def run_sensitivity_plan(
     final, failures = read_final(outcomes, folder, plan.observables)
     shape = len(plan.study.points), plan.study.seeds
     values = {n: column.reshape(shape)[list(plan.rows)] for n, column in final.items()}
+    given = plan.scene, plan.ranges, plan.seeds, values, failures
     found: Sensitivity | SobolIndices
-    if plan.method == "sobol":
-        found = sobol_result(plan, values, failures)
-    else:
-        found = sample_sensitivity(plan.scene, plan.ranges, plan.seeds, values, failures)
+    found = sobol_result(*given) if plan.method == "sobol" else sample_sensitivity(*given)
     result = replace(found, folder=folder)
     result.write_tables()  # numbers do not wait for a page
     return result
@@ -190,21 +212,10 @@ def sample_sensitivity(
     size = len(next(iter(values.values()))) // (len(names) + 1)
     shares = sample(names, size)
     found = {name: sensitivity_indices(names, shares, known) for name, known in values.items()}
-    table = [
-        {
-            "observable": name,
-            "unit": known_unit(name),
-            "parameter": free.name,
-            "key": free.key,
-            "low": free.low,
-            "high": free.high,
-            "parameter_unit": free.unit,
-            **{n: float(analysis.columns[n][k]) for n in INDEX_COLUMNS},
-            "verdict": analysis.verdicts[k],
-        }
-        for name, analysis in found.items()
-        for k, free in enumerate(ranges)
-    ]
+    table: list[Row] = []
+    for name, analysis in found.items():
+        columns = {column: analysis.columns[column].tolist() for column in INDEX_COLUMNS}
+        table += index_rows(name, ranges, {**columns, "verdict": analysis.verdicts})
     notes = _notes(size, seeds, found, failures)
     return Sensitivity(scene, tuple(ranges), size, tuple(seeds), table, notes, failures)
 
@@ -213,10 +224,7 @@ def _notes(
     size: int, seeds: Sequence[int], found: Mapping[str, Analysis], failures: Mapping[str, str]
 ) -> list[str]:
     """Return notes for readers of the result."""
-    notes = []
-    if failures:
-        reason = next(iter(failures.values()))
-        notes.append(f"{len(failures)} runs failed, the first one: {reason}")
+    notes = failure_notes(failures)
     for name, analysis in found.items():
         if analysis.used < 2:
             notes.append(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -11,18 +12,53 @@ import numpy as np
 
 from multicell.errors import OutputError
 from multicell.results.folder import file_errors, package_version, to_json, versions, write_text
+from multicell.results.quantities import known_unit
 from multicell.tables.text import table_text
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from multicell.scene.scene import Scene
     from multicell.studies.axes import Range
 
 Row = dict[str, Any]  # one row of a table: column -> value
 
 
+def index_rows(
+    observable: str, ranges: Sequence[Range], columns: Mapping[str, Sequence[Any]]
+) -> list[Row]:
+    """Return a row for each parameter, with its entries of the columns, (parameters,) each."""
+    return [
+        {
+            "observable": observable,
+            "unit": known_unit(observable),
+            "parameter": free.name,
+            "key": free.key,
+            "low": free.low,
+            "high": free.high,
+            "parameter_unit": free.unit,
+            **{name: entries[k] for name, entries in columns.items()},
+        }
+        for k, free in enumerate(ranges)
+    ]
+
+
+def failure_notes(failures: Mapping[str, str]) -> list[str]:
+    """Return the note on runs that failed, name -> reason; none where there are none."""
+    return [
+        f"{len(failures)} runs failed, the first one: {reason}"
+        for reason in list(failures.values())[:1]
+    ]
+
+
 @dataclass(frozen=True, eq=False)
-class IndexTable:
-    """Indices of each observable and parameter, and the sample that they come from."""
+class IndexTable(ABC):
+    """Indices of each observable and parameter, and the sample that they come from.
+
+    - ``leading``: the column that orders the rows of an observable
+    - ``further``: points that each place of the sample has beside one for each parameter
+    - ``kind``, ``caption``: of the analysis and its pictures, in words; ``template``: of its page
+    """
 
     scene: Scene
     ranges: tuple[Range, ...]
@@ -34,7 +70,14 @@ class IndexTable:
     folder: Path | None = None
 
     leading: ClassVar[str]
-    """The column that orders the rows of an observable."""
+    further: ClassVar[int]
+    kind: ClassVar[str]
+    caption: ClassVar[str]
+    template: ClassVar[str]
+
+    @abstractmethod
+    def plot(self, observable: str | None = None) -> Figure:
+        """Draw the indices of an observable (by default the first) with their intervals."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values."""

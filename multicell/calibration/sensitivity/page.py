@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -27,40 +26,31 @@ if TYPE_CHECKING:
     from multicell.studies.axes import Range
 
 
-def write_indices(
-    result: IndexTable,
-    folder: Path,
-    template: str,
-    kind: str,
-    points: int,
-    tiles: Mapping[str, str],
-    drawings: Mapping[str, Drawing],
-) -> Path:
-    """Write ``report.html`` and its pictures, and return the page.
-
-    - ``template``, ``kind``: of the page, and of the analysis in words
-    - ``points``: how many points were run; ``tiles``: more numbers at the top
-    - ``drawings``: observable -> its picture
-    """
+def write_sensitivity_report(result: IndexTable, folder: Path) -> Path:
+    """Write ``report.html`` and its pictures, and return the page."""
     names = ", ".join(key_words(free.key, free.name) for free in result.ranges)
     failed = {"runs that failed": f"{len(result.failures):,}"} if result.failures else {}
+    pictures: dict[str, Drawing] = {}
+    for name in result.observables:
+        # where no index is known, or none above zero, a note says why
+        if any(np.nan_to_num(row[result.leading]) for row in result.ordered(name)):
+            caption = f"{sentence(words(name))}: {result.caption}"
+            file = f"sensitivity-{name.replace('.', '_')}.png"
+            pictures[file] = partial(result.plot, name), caption
     return write_page(
         folder / "report.html",
-        template,
+        result.template,
         scene=result.scene,
         title=sensitivity_title(result),
-        subtitle=f"{kind} · {names}",
+        subtitle=f"{result.kind} · {names}",
         tiles={
             "free parameters": f"{len(result.ranges)}",
-            "points": f"{points:,}",
+            "points": f"{result.size * (len(result.ranges) + result.further):,}",
             "seeds": f"{len(result.seeds)}",
             **failed,
-            **tiles,
+            **(_tiles(result) if result.leading == "mu_star" else {}),  # Morris' have verdicts
         },
-        pictures={
-            f"sensitivity-{name.replace('.', '_')}.png": drawing
-            for name, drawing in drawings.items()
-        },
+        pictures=pictures,
         result=result,
         ends={free.key: _ends(free) for free in result.ranges},
     )
@@ -75,21 +65,6 @@ def _ends(free: Range) -> tuple[str, str]:
     """Return both ends of a range in words; long times in minutes, hours or days."""
     log = ", by ratio" if free.log else ""
     return value_in_words(free.low, free.unit), value_in_words(free.high, free.unit) + log
-
-
-def write_sensitivity_report(result: IndexTable, folder: Path) -> Path:
-    """Write ``report.html`` and its pictures, and return the page."""
-    drawings: dict[str, Drawing] = {}
-    for name in result.observables:
-        if any(row["mu_star"] > 0.0 for row in result.ordered(name)):  # else a note says why
-            caption = (
-                f"{sentence(words(name))}: size of effects at the end of the runs, with 95 % "
-                "intervals; pale is what is not distinguishable from noise or zero."
-            )
-            drawings[name] = partial(indices, result, name), caption
-    points = result.size * (len(result.ranges) + 1)
-    kind = "Screening by Morris"
-    return write_indices(result, folder, "sensitivity.html", kind, points, _tiles(result), drawings)
 
 
 def _tiles(result: IndexTable) -> dict[str, str]:
@@ -193,17 +168,6 @@ def _plane(axes: Axes, rows: list[Row]) -> None:
     axes.set(xlim=(-0.02 * top, top), ylim=(-0.02 * top, top))
     axes.set_xlabel(with_unit("μ*", written(rows[0]["unit"])))
     axes.set_ylabel(with_unit("σ: interactions, curvature", written(rows[0]["unit"])))
-
-
-def write_sobol_report(result: IndexTable, folder: Path) -> Path:
-    """Write ``report.html`` and its pictures, and return the page."""
-    drawings: dict[str, Drawing] = {}
-    for name in result.observables:
-        if any(np.isfinite(row["ST"]) for row in result.ordered(name)):  # else a note says why
-            caption = f"{sentence(words(name))}: parts of its variance, with 95 % intervals."
-            drawings[name] = partial(sobol_bars, result, name), caption
-    points = result.size * (len(result.ranges) + 2)
-    return write_indices(result, folder, "sobol.html", "Sobol' indices", points, {}, drawings)
 
 
 @styled

@@ -15,8 +15,24 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+class WithPage(IndexTable):
+    """Indices with a page; abstract."""
+
+    def report(self, folder: str | Path | None = None) -> Path:
+        """Write tables, pictures and the page ``report.html``; return the page.
+
+        Raises
+        ------
+        OutputError
+            If there is no folder, or it cannot be written to.
+        """
+        from multicell.calibration.sensitivity.page import write_sensitivity_report
+
+        return write_sensitivity_report(self, self.write_tables(folder))
+
+
 @final
-class Sensitivity(IndexTable):
+class Sensitivity(WithPage):
     """Influence of each free parameter on each observable.
 
     - ``ranges``: the free parameters
@@ -32,6 +48,13 @@ class Sensitivity(IndexTable):
     """
 
     leading: ClassVar[str] = "mu_star"
+    further: ClassVar[int] = 1
+    kind: ClassVar[str] = "Screening by Morris"
+    caption: ClassVar[str] = (
+        "size of effects at the end of the runs, with 95 % intervals; pale is what is not "
+        "distinguishable from noise or zero."
+    )
+    template: ClassVar[str] = "sensitivity.html"
 
     def index(self, observable: str, parameter: str) -> Row:
         """Return one row of the table.
@@ -65,21 +88,9 @@ class Sensitivity(IndexTable):
             lines += [f"  {line}" for line in _table_lines(self.ordered(name))]
         return "\n".join([*lines, *(f"Note: {note}" for note in self.notes)])
 
-    def report(self, folder: str | Path | None = None) -> Path:
-        """Write tables, pictures and the page ``report.html``; return the page.
-
-        Raises
-        ------
-        OutputError
-            If there is no folder, or it cannot be written to.
-        """
-        from multicell.calibration.sensitivity.page import write_sensitivity_report
-
-        return write_sensitivity_report(self, self.write_tables(folder))
-
 
 @final
-class SobolIndices(IndexTable):
+class SobolIndices(WithPage):
     """Contributions of parameters to the variance of observables.
 
     - ``ranges``: the free parameters
@@ -92,6 +103,10 @@ class SobolIndices(IndexTable):
     """
 
     leading: ClassVar[str] = "ST"
+    further: ClassVar[int] = 2
+    kind: ClassVar[str] = "Sobol' indices"
+    caption: ClassVar[str] = "parts of its variance, with 95 % intervals."
+    template: ClassVar[str] = "sobol.html"
 
     def plot(self, observable: str | None = None) -> Figure:
         """Draw first and total indices of an observable with their intervals."""
@@ -112,12 +127,6 @@ class SobolIndices(IndexTable):
                 first, total = (f"{row[x]:.3g} ± {row[f'{x}_conf']:.2g}" for x in ("S1", "ST"))
                 lines.append(f"  {row['parameter']:24s} S1 {first:18s} ST {total}")
         return "\n".join([*lines, *(f"Note: {note}" for note in self.notes)])
-
-    def report(self, folder: str | Path | None = None) -> Path:
-        """Write tables, pictures and the page ``report.html``; return the page."""
-        from multicell.calibration.sensitivity.page import write_sobol_report
-
-        return write_sobol_report(self, self.write_tables(folder))
 
 
 def _table_lines(rows: Sequence[Row]) -> list[str]:

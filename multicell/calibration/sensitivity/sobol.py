@@ -15,21 +15,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from multicell.calibration.sensitivity.indices import unit_cube
+from multicell.calibration.sensitivity.numbers import Row, failure_notes, index_rows
 from multicell.calibration.sensitivity.result import SobolIndices
 from multicell.calibration.shared.confidence import LEVEL
 from multicell.errors import SceneError
-from multicell.results.quantities import known_unit
 from multicell.units import shown
 
 if TYPE_CHECKING:
-    from multicell.calibration.sensitivity.plan import SensitivityPlan
     from multicell.cells import FloatArray
+    from multicell.scene.scene import Scene
+    from multicell.studies.axes import Range
 
 LEAST_SIZE: Final = 8  # places: of fewer no interval can be resampled
 COLUMNS_SOBOL: Final = ("S1", "S1_conf", "ST", "ST_conf", "noise")
@@ -85,36 +85,25 @@ def sobol_indices(names: Sequence[str], values: FloatArray) -> tuple[dict[str, F
 
 
 def sobol_result(
-    plan: SensitivityPlan,
+    scene: Scene,
+    ranges: Sequence[Range],
+    seeds: Sequence[int],
     values: Mapping[str, FloatArray],
-    failures: Mapping[str, str] = MappingProxyType({}),
+    failures: Mapping[str, str],
 ) -> SobolIndices:
-    """Return the indices of whatever has values at the points of a plan's sample."""
-    names = [free.name for free in plan.ranges]
-    table: list[dict[str, Any]] = []
-    notes = []
-    if failures:
-        reason = next(iter(failures.values()))
-        notes.append(f"{len(failures)} runs failed, the first one: {reason}")
-    for name, column in values.items():
-        found, used = sobol_indices(names, column)
-        if used < plan.size:
-            notes.append(f"{name}: {plan.size - used} of {plan.size} points lack a run")
+    """Return the indices of whatever has values at the points of :func:`sobol_sample`."""
+    names = [free.name for free in ranges]
+    size = len(next(iter(values.values()))) // (len(names) + 2)
+    table: list[Row] = []
+    notes = failure_notes(failures)
+    for name, known in values.items():
+        found, used = sobol_indices(names, known)
+        if used < size:
+            notes.append(f"{name}: {size - used} of {size} points lack a run")
         if np.isnan(found["ST"]).all():
             notes.append(f"{name} does not vary, or has too few points: no index is known")
-        table += [
-            {
-                "observable": name,
-                "unit": known_unit(name),
-                "parameter": free.name,
-                "key": free.key,
-                "low": free.low,
-                "high": free.high,
-                "parameter_unit": free.unit,
-                **{column: float(found[column][k]) for column in COLUMNS_SOBOL},
-            }
-            for k, free in enumerate(plan.ranges)
-        ]
-    if len(plan.seeds) == 1:
+        columns = {column: found[column].tolist() for column in COLUMNS_SOBOL}
+        table += index_rows(name, ranges, columns)
+    if len(seeds) == 1:
         notes.append("one seed: the part of the noise is unknown; take at least two")
-    return SobolIndices(plan.scene, plan.ranges, plan.size, plan.seeds, table, notes, failures)
+    return SobolIndices(scene, tuple(ranges), size, tuple(seeds), table, notes, failures)

@@ -1,4 +1,4 @@
-"""The picture of stability, how each method ends at each step or tolerance, and its page."""
+"""The picture of stability: how each method ends at each step or tolerance."""
 
 from __future__ import annotations
 
@@ -13,17 +13,12 @@ from matplotlib.patches import Patch
 
 from multicell.comparison.stability_limits.trial import BLOW_UP, STABLE, STALL, WRONG
 from multicell.report.plots.style import INK, blank, few_decades, styled
-from multicell.report.wording import cell_count, clock
+from multicell.report.wording import cell_count
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from multicell.comparison.base import Row
-    from multicell.comparison.stability_limits.numbers import TrialTable
-
-CAPTION: Final = (
-    "Outcome at each step or tolerance. Each dot is one trial; a bar is the limit in theory."
-)
+    from multicell.comparison.base import Comparison, Row
 
 # distinguishable by lightness as well as by hue (Okabe & Ito, darkened where white text is near)
 TRIAL_COLOURS: Final = {
@@ -38,8 +33,11 @@ _OVERHANG: Final = 1.35  # of the first and last strip beyond its setting
 
 
 @styled
-def stability_map(result: TrialTable) -> Figure:
-    """Draw one strip for each method, coloured by what happens at each step or tolerance."""
+def stability_map(result: Comparison, tolerance: str) -> Figure:
+    """Draw one strip for each method, coloured by what happens at each step or tolerance.
+
+    ``tolerance`` says what a tolerance is.
+    """
     first = result.table[0]
     figure = blank(
         f"{result.title}: stability",
@@ -56,10 +54,11 @@ def stability_map(result: TrialTable) -> Figure:
         steps = control == "step"
         _draw_strips(axes, strips, 2.0 / first["rate"] if steps else 1.0)
         axes.tick_params(labelsize=10.5)
-        axes.set_xlabel("step / Euler's limit" if steps else result.words.tolerance, fontsize=11)
+        axes.set_xlabel("step / Euler's limit" if steps else tolerance, fontsize=11)
         axes.set_title("Fixed step" if steps else "Error control", fontsize=12)
         left, width = left + width + 0.125, 0.265
-    handles: list[Any] = [Patch(color=TRIAL_COLOURS[kind], label=kind) for kind in result.kinds]
+    kinds = [kind for kind in TRIAL_COLOURS if kind in result.column("kind")]
+    handles: list[Any] = [Patch(color=TRIAL_COLOURS[kind], label=kind) for kind in kinds]
     handles.append(Line2D([], [], color=INK, marker=".", ls="", ms=4, alpha=0.55, label="a trial"))
     if "step" in groups:
         handles.append(Line2D([], [], color=INK, lw=2.0, label="limit in theory"))
@@ -106,25 +105,3 @@ def _draw_strips(axes: Axes, strips: Mapping[str, Sequence[Row]], scale: float) 
     axes.grid(visible=False, axis="y")
     axes.spines["left"].set_visible(False)
     axes.tick_params(axis="y", length=0)
-
-
-def stability_context(result: TrialTable) -> dict[str, Any]:
-    """Return the fields of ``stability.html``."""
-    first = result.table[0]
-    failures = sum(row["kind"] != STABLE for row in result.table)
-    return {
-        "title": f"{result.title}: stability",
-        "subtitle": result.words.subtitle,
-        "tiles": {
-            "cells": f"{first['cells']:,}",
-            "largest decay rate λmax": f"{first['rate']:.3g}/s",
-            "Euler's limit 2/λmax": f"{2.0 / first['rate']:.3g} s",
-            "methods": f"{len(result.methods)}",
-            "trials that failed": f"{failures} of {len(result.table):,}",
-            "wall time": clock(result.facts["wall"]),
-        },
-        "colours": TRIAL_COLOURS,
-        "kinds": result.words.ends,
-        "moments": result.facts.get("moments", []),
-        "failed": [row for row in result.table if row["kind"] != STABLE],
-    }

@@ -1,4 +1,4 @@
-"""The picture of failures in moving tissue, and its page."""
+"""The picture of failures in moving tissue."""
 
 from __future__ import annotations
 
@@ -17,15 +17,12 @@ from multicell.comparison.stability_limits.failures import (
     MISSED,
     POCKET,
     SNAP,
-    STEP_ENDS,
 )
 from multicell.comparison.stability_limits.trial import BLOW_UP, STABLE, STALL, WRONG
 from multicell.report.plots.style import INK, blank, styled
-from multicell.report.wording import clock
 
 if TYPE_CHECKING:
-    from multicell.comparison.base import Row
-    from multicell.comparison.stability_limits.failure_table import FailureTable
+    from multicell.comparison.base import Comparison
 
 END_LETTERS: Final = {
     STABLE: "",
@@ -45,9 +42,9 @@ _COLOURS: Final = ("#e3f1ea", "#b5dcc8", "#fff2cc", "#f3b25b", "#b3361e")
 
 
 @styled
-def failure_figure(result: FailureTable) -> Figure:
+def failure_figure(result: Comparison) -> Figure:
     """Draw a line of squares for each method and state, one square a setting."""
-    methods, states = result.methods, result.states
+    methods, states = result.methods, result.column("state")
     tall = max(0.3 * len(methods) + 3.1, 4.3)
     figure = blank(
         "How methods end coupling steps of real runs",
@@ -62,31 +59,27 @@ def failure_figure(result: FailureTable) -> Figure:
         )
         _draw_state(axes, result, state)
         axes.set_yticks(range(len(methods)), methods if k == 0 else [""] * len(methods))
-        axes.set_title(_title(result, state), fontsize=9.5)
     edges = [f"{level:g}" for level in _LEVELS]
     names = [f"up to {edges[0]}", *(f"to {e}" for e in edges[1:]), f"above {edges[-1]}"]
     handles = [Patch(color=c, label=name) for c, name in zip(_COLOURS, names, strict=True)]
     figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.01, 0.0), fontsize=10)
-    said = [f"{END_LETTERS[kind]}  {kind}" for kind in result.kinds if END_LETTERS[kind]]
+    kinds = result.column("kind")
+    said = [f"{letter}  {kind}" for kind, letter in END_LETTERS.items() if letter and kind in kinds]
     for k, text in enumerate(said):
         place = (0.27 + 0.36 * (k // 4), (1.15 - 0.26 * (k % 4)) / tall)
         figure.text(*place, text, fontsize=10, color=INK)
     return figure
 
 
-def _title(result: FailureTable, state: str) -> str:
-    null = [row["null_ratio"] for row in result.with_values(state=state)]
-    place = state.replace(" at ", "\nat ")
-    return f"{place}\nnull: {max(null):.2g}"
-
-
-def _draw_state(axes: Any, result: FailureTable, state: str) -> None:
-    """Draw the squares of one state."""
+def _draw_state(axes: Any, result: Comparison, state: str) -> None:
+    """Draw the squares of one state; of a failure without an end they have the last colour."""
+    null = max(row["null_ratio"] for row in result.with_values(state=state))
+    axes.set_title("\nat ".join(state.split(" at ")) + f"\nnull: {null:.2g}", fontsize=9.5)
     most = max(len(result.with_values(state=state, method=m)) for m in result.methods)
     levels = np.full((len(result.methods), most), math.nan)
     for line, method in enumerate(result.methods):
         for place, row in enumerate(result.with_values(state=state, method=method)):
-            levels[line, place] = _level(row)
+            levels[line, place] = np.searchsorted(_LEVELS, row["ratio"])  # NaN comes last
             letter = END_LETTERS[row["kind"]]
             dark = levels[line, place] >= len(_LEVELS)
             colour = "white" if dark else INK
@@ -95,28 +88,3 @@ def _draw_state(axes: Any, result: FailureTable, state: str) -> None:
     axes.set_xticks([0, most - 1], ["fine", "coarse"], fontsize=9.5)
     axes.grid(visible=False)
     axes.tick_params(length=0)
-
-
-def _level(row: Row) -> int:
-    """Return the number of the colour of a trial: that of a failure without an end is the last."""
-    ratio = row["ratio"]
-    return len(_LEVELS) if math.isnan(ratio) else int(np.searchsorted(_LEVELS, ratio))
-
-
-def failure_context(result: FailureTable) -> dict[str, Any]:
-    """Return the fields of ``failures.html``."""
-    return {
-        "title": "How methods end coupling steps of real runs",
-        "subtitle": "Each method starts from states that the runs have passed. An end is right if "
-        f"the worst cell is off by at most {MAX_RATIO:g} times the effect of shifts of the start.",
-        "tiles": {
-            "states": f"{len(result.states)}",
-            "methods": f"{len(result.methods)}",
-            "trials that ended wrong": f"{len(result.failures())} of {len(result.table):,}",
-            "wall time": clock(result.facts["wall"]),
-        },
-        "kinds": STEP_ENDS,
-        "letters": END_LETTERS,
-        "worst": result.worst(),
-        "failed": [row for row in result.table if row["words"]],
-    }

@@ -17,10 +17,11 @@ import numpy as np
 from multicell.cells import FloatArray, IntArray
 from multicell.comparison.base import Row
 from multicell.comparison.ladders import Method
+from multicell.comparison.norms import worst_distance
 from multicell.comparison.replay import advance_system, set_deadline, timeout_words
 from multicell.comparison.stability_limits.recorded import RecordedState
 from multicell.comparison.stability_limits.trial import BLOW_UP, STABLE, STALL, THROWN, WRONG
-from multicell.comparison.stability_limits.truth import TrueStep, worst_distance
+from multicell.comparison.stability_limits.truth import TrueStep
 from multicell.integrators import registry
 from multicell.integrators.base import Integrator
 from multicell.integrators.shift import SHIFT

@@ -19,8 +19,7 @@ from multicell.comparison.base import Row
 from multicell.comparison.ladders import Method, select_methods
 from multicell.comparison.measured import Measurements, named_only, open_measurements
 from multicell.comparison.replay import solve_compiled
-from multicell.comparison.stability_limits.failure_map import FailureMap
-from multicell.comparison.stability_limits.failure_table import FAILURE_FILES
+from multicell.comparison.stability_limits.failure_map import FAILURE_FILES, FailureMap
 from multicell.comparison.stability_limits.failures import trial_row, try_step
 from multicell.comparison.stability_limits.recorded import RecordedState, state_at
 from multicell.comparison.stability_limits.truth import TrueStep

@@ -21,8 +21,11 @@ from multicell.comparison.network_steps import (
     solve_steps,
     which_network,
 )
-from multicell.comparison.stability_limits.numbers import STABILITY_FILES, StabilityWords
-from multicell.comparison.stability_limits.result import StabilityMap
+from multicell.comparison.stability_limits.result import (
+    STABILITY_FILES,
+    StabilityMap,
+    StabilityWords,
+)
 from multicell.comparison.stability_limits.search import PRECISION, bracket, search_up
 from multicell.comparison.stability_limits.trial import BLOW_UP, STABLE, STALL, WRONG
 from multicell.networks.loop import CELL_STEPS

@@ -114,12 +114,15 @@ def state_at(text: str | Path, threads: int | None = None) -> RecordedState:
     wanted = to_base(time, "s", "state")
     contents = Contents(folder)
     contents.whole()
-    place = _frame_before(contents, wanted, str(text))
+    known = [k for k, p in enumerate(contents.places) if p.time <= wanted * (1.0 + 1e-12)]
+    if not (known and math.isfinite(wanted)):
+        problem = f"is {str(text)!r}, but the run has no frame up to that time"
+        raise SceneError("state", problem)
     simulation = Simulation(
         recorded_scene(contents),
         threads=threads,
-        frame=contents.frame(place),
-        lineage=contents.lineage(place),
+        frame=contents.frame(known[-1]),
+        lineage=contents.lineage(known[-1]),
     )
     while simulation.time < wanted - _ROUNDING * simulation.scene.coupling_step:
         if simulation.finished:
@@ -129,12 +132,3 @@ def state_at(text: str | Path, threads: int | None = None) -> RecordedState:
         end = time_unit(simulation.time).text(simulation.time)
         raise SceneError("state", f"is {str(text)!r}, but that run ends at {end}")
     return RecordedState.of(simulation, f"{Path(folder).name} at {time.strip()}")
-
-
-def _frame_before(contents: Contents, wanted: float, text: str) -> int:
-    """Return the number of the last frame up to a time."""
-    times = [place.time for place in contents.places]
-    known = [k for k, time in enumerate(times) if time <= wanted * (1.0 + 1e-12)]
-    if not (known and math.isfinite(wanted)):
-        raise SceneError("state", f"is {text!r}, but the run has no frame up to that time")
-    return known[-1]

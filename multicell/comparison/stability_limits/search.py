@@ -10,10 +10,9 @@ from typing import Final
 
 from multicell.comparison.base import Row
 from multicell.comparison.ladders import Method, capable_methods, select_methods
-from multicell.comparison.measured import Measurements, open_measurements
+from multicell.comparison.measured import open_measurements
 from multicell.comparison.replay import solve_compiled
-from multicell.comparison.stability_limits.numbers import STABILITY_FILES
-from multicell.comparison.stability_limits.result import StabilityMap
+from multicell.comparison.stability_limits.result import STABILITY_FILES, StabilityMap
 from multicell.comparison.stability_limits.state import TrialState, settled_state
 from multicell.comparison.stability_limits.trial import STABLE, judge, run_trial
 from multicell.integrators.base import Integrator
@@ -91,41 +90,28 @@ def stability(
     with open_measurements(
         output, STABILITY_FILES, described, what, asked, names, overwrite=overwrite
     ) as measured:
-        wall, table = _measure(described, chosen, patience, threads, measured, note)
+        begin, before, table, state = clock.perf_counter(), 0.0, [], None
+        for method in chosen:
+            known = measured.find(method.name)
+            if known is not None:
+                note(f"{method.name}: was measured before")
+                before += known["wall"]
+            else:
+                if state is None:
+                    note("settling")
+                    state = settled_state(described, threads)
+                note(method.name)
+                started = clock.perf_counter()
+                known = {"rows": _rows(state, method, patience)}
+                known["wall"] = clock.perf_counter() - started
+                measured.add(method.name, **known)
+            table += known["rows"]
+        wall = before + clock.perf_counter() - begin  # also of those from the folder
         facts = {"precision": PRECISION, "wall": wall, "versions": versions()}
         result = StabilityMap(described, table, facts)
         if output is not None:
             result.save(output)
     return result
-
-
-def _measure(
-    scene: Scene,
-    methods: Sequence[Method],
-    patience: float,
-    threads: int | None,
-    measured: Measurements,
-    note: Callable[[str], None],
-) -> tuple[float, list[Row]]:
-    """Return the wall time that all trials took, s, and their rows, some from the folder."""
-    begin = clock.perf_counter()
-    before, table, state = 0.0, [], None
-    for method in methods:
-        known = measured.find(method.name)
-        if known is not None:
-            note(f"{method.name}: was measured before")
-            before += known["wall"]
-            table += known["rows"]
-            continue
-        if state is None:
-            note("settling")
-            state = settled_state(scene, threads)
-        note(method.name)
-        started = clock.perf_counter()
-        rows = _rows(state, method, patience)
-        measured.add(method.name, rows=rows, wall=clock.perf_counter() - started)
-        table += rows
-    return before + clock.perf_counter() - begin, table
 
 
 def _rows(state: TrialState, method: Method, patience: float) -> list[Row]:

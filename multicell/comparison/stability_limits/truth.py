@@ -16,6 +16,7 @@ import numpy as np
 
 from multicell.cells import FloatArray, IntArray
 from multicell.comparison.ladders import find_method
+from multicell.comparison.norms import worst_distance
 from multicell.comparison.null_methods import NULL_METHODS
 from multicell.comparison.stability_limits.recorded import RecordedState
 from multicell.comparison.stability_limits.state import largest_decay, largest_growth
@@ -194,8 +195,3 @@ class TrueStep:
 def reference_method(state: RecordedState, name: str, tolerance: float) -> Integrator:
     """Return a method with a tolerance in mean radii."""
     return find_method(name, state.scene, state.radius).make(tolerance)
-
-
-def worst_distance(found: FloatArray, exact: FloatArray) -> float:
-    """Return the largest distance of a cell between two states, µm."""
-    return float(np.sqrt(np.square(found - exact).sum(axis=1).max()))
