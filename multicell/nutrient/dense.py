@@ -93,7 +93,9 @@ def eigenvalues(n: int, ends: Ends) -> FloatArray:
 
 @final
 class Inverse:
-    """Solves (A + shift) u = y, A having the eigenvalues of minus a Laplacian.
+    """What a grid of few nodes needs to solve for a field, (A + shift) u = y within.
+
+    A has the eigenvalues of minus a Laplacian.
 
     - ``halves``, of each axis (4, h, h) and (n,): see :func:`halves`
     """
@@ -104,15 +106,6 @@ class Inverse:
         self._single = np.empty((3, nodes), dtype=np.float32)
         self._work = np.empty((6, nodes))
         self._of_axes: tuple[Any, ...] = fx, fy, fz, ax, ay, az
-
-    def overwrite(self, y: Float32Array, shift: float, stiffness: float) -> float:
-        """Overwrite ``y`` (nx, ny, nz) with u, and return y . u.
-
-        - ``shift``, ``stiffness``, 1/s: the latter is what the eigenvalues are multiplied by
-        """
-        fx, fy, fz, *axes = self._of_axes
-        scaled = [stiffness * along for along in axes]
-        return float(_invert(y, shift, self._single, fx, fy, fz, *scaled))
 
     def newton(self, *problem: Any) -> tuple[Any, ...]:
         """Do what :func:`_newton` does with the arrays that it works in."""
@@ -360,7 +353,10 @@ def _invert(
     ly: FloatArray,
     lz: FloatArray,
 ) -> float:
-    """Do what :meth:`Inverse.overwrite` does, with ``room``, (2, nodes) and more."""
+    """Overwrite ``y`` (nx, ny, nz) with u, where (A + shift) u = y, and return y . u.
+
+    - ``shift``, and eigenvalues of A along each axis, 1/s; ``room``, (2, nodes) and more
+    """
     nx, ny, nz = y.shape
     u, a, b = y.reshape((nx, ny * nz)), room[0], room[1]
     ax, ay, az = a.reshape((nx, ny * nz)), a.reshape((ny, nx * nz)), a.reshape((nz, ny * nx))

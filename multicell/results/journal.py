@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
+from multicell.host.files import parse_json
 from multicell.results.folder import file_errors, new_file, put_in_place
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -210,7 +211,7 @@ def _header(text: bytes, length: int, *, first: bool) -> dict[str, Any] | None:
     A checksum only shows that a record is as somebody wrote it.
     """
     try:
-        header = json.loads(text)
+        header = parse_json(text)
         kind, arrays = header.get("kind"), header.get("arrays", [])
         entries = [(header[key], wanted) for key, wanted in _ENTRIES[kind].items()]
         right = (kind == "open") == first and all(_is_right(*entry) for entry in entries)
@@ -228,14 +229,18 @@ def _is_right(entry: Any, wanted: type) -> bool:
     """Return whether an entry of a header is of its type, and can be."""
     same: bool = type(entry) is wanted  # True is no number
     if same and wanted is list:
-        return all(type(name) is str for name in entry) and len({*entry}) == len(entry)
+        return all(map(_is_name, entry)) and len({*entry}) == len(entry)
     return same and (wanted is str or 0 <= entry < 1 << 62)
+
+
+def _is_name(entry: Any) -> bool:
+    return type(entry) is str and entry.isprintable()
 
 
 def _size(name: Any, kind: Any, shape: Any) -> int:
     """Return the bytes of an array; raises ValueError where there can be no such one."""
     entries = [type(n) is int and n >= 0 for n in shape]
-    if type(name) is not str or not _TYPE.fullmatch(kind) or not all(entries):
+    if not _is_name(name) or not _TYPE.fullmatch(kind) or not all(entries):
         raise ValueError
     size: int = math.prod(shape) * int(kind[2:])
     if len(shape) > _MOST_AXES or (not size and max(shape) > _WIDEST):
