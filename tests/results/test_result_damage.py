@@ -259,6 +259,6 @@ def test_numbers_that_stand_for_nothing_are_damage(name, bad, journal, tmp_path)
         lambda: mc.load_result(folder).report(),
         lambda: mc.resume(folder, 0, output=tmp_path / "again", report=False, threads=1),
     ):
-        with pytest.raises(mc.OutputError, match="stand for nothing|no older cell") as refused:
+        with pytest.raises(mc.OutputError, match=r"stand for nothing|no older cell") as refused:
             read()
         assert refused.value.damaged
