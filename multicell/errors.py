@@ -88,16 +88,15 @@ def is_machine_failure(error: BaseException | None) -> bool:
     return False
 
 
-def switched_on(name: str) -> bool:
+def is_set(name: str) -> bool:
     """Return whether a variable of the environment is set, not to 0, false, no, off or nothing."""
     return os.environ.get(name, "").strip().lower() not in ("", "0", "false", "no", "off")
 
 
 def printable(text: str, *, lines: bool = False) -> str:
-    r"""Return a text in which what is not printable is escaped, such as ``\x1b`` or ``\ud800``.
+    r"""Return a text of others with ``\x1b``, ``\ud800`` and the like for what is not printable.
 
-    Names in files of others may hold commands of terminals, line breaks, marks that turn the order
-    of letters, and halves of letters. ``lines``: whether line breaks stay.
+    - ``lines``: whether line breaks stay
     """
     if lines:
         return "\n".join(map(printable, text.split("\n")))
@@ -125,7 +124,7 @@ class MulticellError(Exception):
 
     def _render_traceback_(self) -> list[str]:
         """Return the line that IPython prints in place of a traceback."""
-        if switched_on("MULTICELL_DEBUG"):
+        if is_set("MULTICELL_DEBUG"):
             import traceback
 
             return traceback.format_exception(self)

@@ -20,14 +20,7 @@ from typing import IO, Any, ClassVar, Final, NoReturn, final
 
 import click
 
-from multicell.errors import (
-    ExitCode,
-    MulticellError,
-    UnitWarning,
-    exit_code_of,
-    printable,
-    switched_on,
-)
+from multicell.errors import ExitCode, MulticellError, UnitWarning, exit_code_of, is_set, printable
 from multicell.host.interrupts import end_command, interrupted
 from multicell.plugins.named import own_fault
 from multicell.schema import specs
@@ -263,7 +256,7 @@ def _explain(error: Exception, as_json: bool) -> int:
     else:
         message, code = error_in_words(error)
         complain(f"Error: {message}")
-        if switched_on(DEBUG) and not isinstance(error, MulticellError):
+        if is_set(DEBUG) and not isinstance(error, MulticellError):
             import traceback
 
             complain("".join(traceback.format_exception(error)).rstrip())

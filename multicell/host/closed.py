@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from functools import cache
 from typing import Any, Final
 
-from multicell.errors import switched_on
+from multicell.errors import is_set
 
 PACKAGE: Final = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 PACK: Final = "multicell_kernels"
@@ -144,7 +144,7 @@ def pack_folder() -> str:
     It is looked for where packages are installed, never in the working folder: to read compiled
     code is to run it. With ``MULTICELL_NO_PACK=1`` in the environment there is none.
     """
-    places = [] if switched_on("MULTICELL_NO_PACK") else site.getsitepackages()
+    places = [] if is_set("MULTICELL_NO_PACK") else site.getsitepackages()
     if places and site.ENABLE_USER_SITE:
         places.append(site.getusersitepackages())
     found = (os.path.join(place, PACK) for place in places)

@@ -82,12 +82,9 @@ def read_text_of_others(path: Path, largest: int) -> str:
 
 
 def parse_json(text: bytes | str) -> Any:
-    """Return the value that JSON describes; ValueError or RecursionError where it describes none.
-
-    Halves of letters, which JSON can write and nobody can print, are refused, too.
-    """
+    """Return the value that JSON describes; ValueError or RecursionError where there is none."""
     value = json.loads(text.decode() if isinstance(text, bytes) else text)
-    json.dumps(value, ensure_ascii=False).encode()
+    json.dumps(value, ensure_ascii=False).encode()  # fails for halves of letters
     return value
 
 

@@ -93,9 +93,7 @@ def eigenvalues(n: int, ends: Ends) -> FloatArray:
 
 @final
 class Inverse:
-    """What a grid of few nodes needs to solve for a field, (A + shift) u = y within.
-
-    A has the eigenvalues of minus a Laplacian.
+    """Solves (A + shift) u = y, A having the eigenvalues of minus a Laplacian.
 
     - ``halves``, of each axis (4, h, h) and (n,): see :func:`halves`
     """

@@ -217,6 +217,8 @@ def _header(text: bytes, length: int, *, first: bool) -> dict[str, Any] | None:
         right = (kind == "open") == first and all(_is_right(*entry) for entry in entries)
         shapes = {name: shape for name, _, shape in arrays}
         right = right and len(shapes) == len(arrays)  # a name twice would hide an array
+        names = *shapes, *header.get("columns", ()), *header.get("nutrients", ())
+        right = right and "".join(names).isprintable()
         if kind == "frame":
             right = right and shapes["time"] == shapes["step"] == []
         size = sum(_size(*entry) for entry in arrays)
@@ -229,18 +231,14 @@ def _is_right(entry: Any, wanted: type) -> bool:
     """Return whether an entry of a header is of its type, and can be."""
     same: bool = type(entry) is wanted  # True is no number
     if same and wanted is list:
-        return all(map(_is_name, entry)) and len({*entry}) == len(entry)
+        return all(type(name) is str for name in entry) and len({*entry}) == len(entry)
     return same and (wanted is str or 0 <= entry < 1 << 62)
-
-
-def _is_name(entry: Any) -> bool:
-    return type(entry) is str and entry.isprintable()
 
 
 def _size(name: Any, kind: Any, shape: Any) -> int:
     """Return the bytes of an array; raises ValueError where there can be no such one."""
     entries = [type(n) is int and n >= 0 for n in shape]
-    if not _is_name(name) or not _TYPE.fullmatch(kind) or not all(entries):
+    if type(name) is not str or not _TYPE.fullmatch(kind) or not all(entries):
         raise ValueError
     size: int = math.prod(shape) * int(kind[2:])
     if len(shape) > _MOST_AXES or (not size and max(shape) > _WIDEST):

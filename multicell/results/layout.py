@@ -188,10 +188,7 @@ def _field_rows(name: str, arrays: Mapping[str, NDArray[Any]]) -> Arrays:
 
 
 def check_frame(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str], types: int) -> None:
-    """Refuse arrays of another type or shape than a frame has; raises OutputError.
-
-    Also numbers of states, phases and types, ``types`` in number, that are none of theirs.
-    """
+    """Refuse other arrays than a frame of a scene with so many types has; raises OutputError."""
     sets = layout(nutrients)
     sets = {**sets, "time": sets["frames/time"], "step": sets["frames/step"]}
     count = arrays["cells/id"].shape if "cells/id" in arrays else ()

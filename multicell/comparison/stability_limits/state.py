@@ -30,9 +30,7 @@ the contact that this mode strains most."""
 
 MIN_NOTICED: Final = 0.035  # motion that counts as instability, over the same overlap
 
-# largest decay rate of cells that part for ever, over that of the same cells pressed together: what
-# is left of Hertz's contacts is a billionth of the radius, and says how long one has waited
-_PARTED = 1e-4
+_PARTED = 1e-4  # decay rate over that of pressed cells; what is left of contacts that part for ever
 _AT_REST = 1e-10  # speed of a cluster at rest, in radii times the largest decay rate
 _DOUBLINGS = 16  # a step that is wanted may be so much longer than the first: 2^16
 _RTOL, _ATOL = 1e-11, 1e-9  # of the reference; the second in mean radii
