@@ -128,8 +128,8 @@ def _column_places(paths: tuple[str, ...], history: bool) -> Places:
         group, _, name = path.rpartition("/")
         if group == "history":  # an observable can have any name
             places |= {path: (group, name)} if history else {}
-        elif name == "offset":
-            places |= {path: ("offsets", group)} if few else {}
+        elif name == "offset" and (few or not group.startswith("fields/")):
+            places[path] = "offsets", group
         elif group == "frames" or group.startswith("lineage/"):
             places[path] = group, name
     return MappingProxyType(places)
@@ -204,8 +204,8 @@ def check_frame(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str], ty
             problem = f"{path} has the type {array.dtype.str} and shape {array.shape}"
             raise OutputError(problem, damaged=True)
     known = {"id": 1 << 62, "state": len(State), "phase": len(Phase), "kind": types}
-    for name, count in known.items():
-        check_numbers(f"cells/{name}", arrays.get(f"cells/{name}", np.zeros(0)), count)
+    for name, many in known.items():
+        check_numbers(f"cells/{name}", arrays.get(f"cells/{name}", np.zeros(0)), many)
 
 
 def check_numbers(path: str, numbers: NDArray[Any], count: int) -> None:
