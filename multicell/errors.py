@@ -94,10 +94,7 @@ def is_set(name: str) -> bool:
 
 
 def printable(text: str, *, lines: bool = False) -> str:
-    r"""Return a text of others with ``\x1b``, ``\ud800`` and the like for what is not printable.
-
-    - ``lines``: whether line breaks stay
-    """
+    r"""Return a text with ``\x1b`` and the like for what is not printable (or no line break)."""
     if lines:
         return "\n".join(map(printable, text.split("\n")))
     return "".join(x if x.isprintable() else ascii(x)[1:-1] for x in text)
