@@ -88,6 +88,18 @@ def is_machine_failure(error: BaseException | None) -> bool:
     return False
 
 
+def is_set(name: str) -> bool:
+    """Return whether a variable of the environment is set, not to 0, false, no, off or nothing."""
+    return os.environ.get(name, "").strip().lower() not in ("", "0", "false", "no", "off")
+
+
+def printable(text: str, *, lines: bool = False) -> str:
+    r"""Return a text with ``\x1b`` and the like for what is not printable (or no line break)."""
+    if lines:
+        return "\n".join(map(printable, text.split("\n")))
+    return "".join(x if x.isprintable() else ascii(x)[1:-1] for x in text)
+
+
 class MulticellError(Exception):
     """Base of all errors raised on purpose; its text is written for the user.
 
@@ -104,12 +116,12 @@ class MulticellError(Exception):
     exit_code: ClassVar[ExitCode] = ExitCode.FAILED
 
     def __init__(self, problem: str, hint: str = "", *, where: str = "") -> None:
-        self.problem, self.hint = problem, hint
-        super().__init__(f"{where}{problem}{'. ' if hint else ''}{hint}")
+        self.problem, self.hint = printable(problem), printable(hint)
+        super().__init__(printable(f"{where}{problem}{'. ' if hint else ''}{hint}"))
 
     def _render_traceback_(self) -> list[str]:
         """Return the line that IPython prints in place of a traceback."""
-        if os.environ.get("MULTICELL_DEBUG"):
+        if is_set("MULTICELL_DEBUG"):
             import traceback
 
             return traceback.format_exception(self)

@@ -211,8 +211,12 @@ def test_a_pack_is_not_looked_for_in_the_working_folder(tmp_path, monkeypatch):
     assert closed.pack_folder() == ""
     monkeypatch.setattr(closed.site, "getsitepackages", lambda: [str(tmp_path)])
     assert closed.pack_folder() == str(tmp_path / closed.PACK)
-    monkeypatch.setenv("MULTICELL_NO_PACK", "1")
-    assert closed.pack_folder() == ""
+    for off in ("1", "true", "yes"):
+        monkeypatch.setenv("MULTICELL_NO_PACK", off)
+        assert closed.pack_folder() == ""
+    for unset in ("", "0", "false", "No", " off "):
+        monkeypatch.setenv("MULTICELL_NO_PACK", unset)
+        assert closed.pack_folder() == str(tmp_path / closed.PACK)
 
 
 def test_a_level_that_this_processor_lacks_is_not_built(tmp_path, monkeypatch):

@@ -103,9 +103,10 @@ def test_errors_are_one_line_in_notebooks_and_all_of_it_when_asked(monkeypatch):
     shell.run_cell("import multicell as mc; mc.load_scene('spheriod')")
     assert len(seen[0]) == 1
     assert seen[0][0].startswith("SceneError: there is no scene named 'spheriod'")
-    monkeypatch.setenv("MULTICELL_DEBUG", "1")
-    shell.run_cell("mc.load_scene('spheriod')")
-    assert "Traceback" in "".join(seen[1])
+    for setting, traceback in (("0", False), ("false", False), ("1", True)):
+        monkeypatch.setenv("MULTICELL_DEBUG", setting)
+        shell.run_cell("mc.load_scene('spheriod')")
+        assert ("Traceback" in "".join(seen[-1])) == traceback
 
 
 def test_colour_has_both_spellings(result):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from multicell.errors import OutputError, SceneError
+from multicell.errors import OutputError, SceneError, printable
 from multicell.host.files import parse_toml
 from multicell.units import shown
 
@@ -433,7 +433,7 @@ def key_table(rows: Iterable[tuple[str, object]], *, justify: Any = "left") -> T
 
 
 def escape_markup(text: object) -> Any:
-    """Return text in which square brackets are no markup."""
+    """Return text in which square brackets are no markup, and nothing a command of a terminal."""
     from rich.text import Text
 
-    return Text(str(text))
+    return Text(printable(str(text), lines=True))

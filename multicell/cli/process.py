@@ -20,7 +20,7 @@ from typing import IO, Any, ClassVar, Final, NoReturn, final
 
 import click
 
-from multicell.errors import ExitCode, MulticellError, UnitWarning, exit_code_of
+from multicell.errors import ExitCode, MulticellError, UnitWarning, exit_code_of, is_set, printable
 from multicell.host.interrupts import end_command, interrupted
 from multicell.plugins.named import own_fault
 from multicell.schema import specs
@@ -239,13 +239,14 @@ def _explain(error: Exception, as_json: bool) -> int:
         return ExitCode.MACHINE  # without words: who reads has gone
     if isinstance(error, click.ClickException):
         error = _with_hint(error)
+        object.__setattr__(error, "message", printable(error.message, lines=True))
         with quietly():
             error.show(file=sys.stderr)
         message, code = error.format_message(), error.exit_code
     else:
         message, code = error_in_words(error)
         complain(f"Error: {message}")
-        if os.environ.get(DEBUG) and not isinstance(error, MulticellError):
+        if is_set(DEBUG) and not isinstance(error, MulticellError):
             import traceback
 
             complain("".join(traceback.format_exception(error)).rstrip())
@@ -361,7 +362,7 @@ def error_in_words(error: Exception) -> tuple[str, int]:
 def complain(text: str) -> None:
     """Print a line on stderr, where that can be written to."""
     with quietly():
-        click.echo(text, file=sys.stderr, err=True)
+        click.echo(printable(text, lines=True), file=sys.stderr, err=True)
 
 
 def leave(code: int) -> NoReturn:

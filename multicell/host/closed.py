@@ -17,6 +17,8 @@ from collections.abc import Iterator
 from functools import cache
 from typing import Any, Final
 
+from multicell.errors import is_set
+
 PACKAGE: Final = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 PACK: Final = "multicell_kernels"
 """Name of the folder with compiled kernels that ``python -m multicell.compiling.kernels`` packs."""
@@ -140,9 +142,9 @@ def pack_folder() -> str:
     """Return the folder of an installed pack of compiled kernels; nothing where there is none.
 
     It is looked for where packages are installed, never in the working folder: to read compiled
-    code is to run it. With ``MULTICELL_NO_PACK`` in the environment there is none.
+    code is to run it. With ``MULTICELL_NO_PACK=1`` in the environment there is none.
     """
-    places = [] if os.environ.get("MULTICELL_NO_PACK") else site.getsitepackages()
+    places = [] if is_set("MULTICELL_NO_PACK") else site.getsitepackages()
     if places and site.ENABLE_USER_SITE:
         places.append(site.getusersitepackages())
     found = (os.path.join(place, PACK) for place in places)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import re
 import stat
@@ -78,6 +79,13 @@ def read_text_of_others(path: Path, largest: int) -> str:
         raise SceneError("", f"'{name}' is not UTF-8 text (byte {error.start})") from None
     except OSError as error:
         raise SceneError("", f"'{name}' cannot be read: {error.strerror}") from None
+
+
+def parse_json(text: bytes | str) -> Any:
+    """Return the value that JSON describes; ValueError or RecursionError where there is none."""
+    value = json.loads(text.decode() if isinstance(text, bytes) else text)
+    json.dumps(value, ensure_ascii=False).encode()  # fails for halves of letters
+    return value
 
 
 def parse_toml(text: str) -> dict[str, Any]:

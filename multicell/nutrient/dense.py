@@ -105,15 +105,6 @@ class Inverse:
         self._work = np.empty((6, nodes))
         self._of_axes: tuple[Any, ...] = fx, fy, fz, ax, ay, az
 
-    def overwrite(self, y: Float32Array, shift: float, stiffness: float) -> float:
-        """Overwrite ``y`` (nx, ny, nz) with u, and return y . u.
-
-        - ``shift``, ``stiffness``, 1/s: the latter is what the eigenvalues are multiplied by
-        """
-        fx, fy, fz, *axes = self._of_axes
-        scaled = [stiffness * along for along in axes]
-        return float(_invert(y, shift, self._single, fx, fy, fz, *scaled))
-
     def newton(self, *problem: Any) -> tuple[Any, ...]:
         """Do what :func:`_newton` does with the arrays that it works in."""
         given = *problem, self._work, self._single, *self._of_axes
@@ -360,7 +351,10 @@ def _invert(
     ly: FloatArray,
     lz: FloatArray,
 ) -> float:
-    """Do what :meth:`Inverse.overwrite` does, with ``room``, (2, nodes) and more."""
+    """Overwrite ``y`` (nx, ny, nz) with u, where (A + shift) u = y, and return y . u.
+
+    - ``shift``, and eigenvalues of A along each axis, 1/s; ``room``, (2, nodes) and more
+    """
     nx, ny, nz = y.shape
     u, a, b = y.reshape((nx, ny * nz)), room[0], room[1]
     ax, ay, az = a.reshape((nx, ny * nz)), a.reshape((ny, nx * nz)), a.reshape((nz, ny * nx))

@@ -158,8 +158,6 @@ class Diffusion:
         L0 is the Laplacian with zero on the faces and a uniform coefficient. Returns u, which takes
         the memory of ``y``, and y . u.
         """
-        if self.dense is not None and y.dtype == np.float32:
-            return y, self.dense.overwrite(y, shift, self.stiffness)
         ax, ay, az = self.eigenvalues
         spectrum = _transform(y, self.kinds, inverse=False)
         product = stencil.divide_spectrum(spectrum, ax, ay, az, shift)

@@ -260,6 +260,8 @@ class _Problem:
         most = 1.0 if op.varied is None else float(op.varied.max())
         # a sixth of the largest rate of a node, 1/s, but for the uptake's
         quick = op.stiffness * max(most, 1.0) + self.linear / 6.0 + op.largest_exchange / 6.0
+        if math.prod(op.shape) == 1:  # all of its sides are faces: twice the rate
+            quick *= 2.0
         # error of the imbalance over the norm of a concentration
         self.rounding = 8.0 * sys.float_info.epsilon * quick
 

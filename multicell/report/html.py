@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
+from multicell.errors import printable
 from multicell.report.wording import clock, written
 from multicell.results.folder import file_errors, package_version, write_text
 from multicell.results.quantities import known_unit, title_of
@@ -83,6 +84,7 @@ def _environment() -> Environment:
         loader=PackageLoader("multicell.report"),
         autoescape=True,
         undefined=StrictUndefined,
+        finalize=lambda x: printable(x, lines=True) if type(x) is str else x,
         trim_blocks=True,
         lstrip_blocks=True,
     )

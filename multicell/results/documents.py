@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from multicell.errors import OutputError
-from multicell.host.files import read_regular
+from multicell.host.files import parse_json, read_regular
 from multicell.host.interrupts import UNCUT
 from multicell.results.folder import file_errors, json_text, plain_json, write_text
 from multicell.results.records import parse_table
@@ -88,7 +88,7 @@ class Lines:
         self._chain = zlib.crc32(text, self._chain)
         if chain == f"{self._chain:08x}".encode():
             try:
-                return json.loads(text)
+                return parse_json(text)
             except (ValueError, RecursionError):
                 pass
         raise OutputError(

@@ -716,9 +716,12 @@ class _Column:
 
 def _names(inner: Any) -> tuple[str, ...]:
     """Return the names in a group, or of the fields of a table's type, by h5py's inner objects."""
-    if isinstance(inner, h5py.h5g.GroupID):
-        return tuple(name.decode() for name in inner)
-    return tuple(inner.get_member_name(k).decode() for k in range(inner.get_nmembers()))
+    if not isinstance(inner, h5py.h5g.GroupID):
+        inner = map(inner.get_member_name, range(inner.get_nmembers()))
+    names = tuple(name.decode() for name in inner)
+    if not "".join(names).isprintable():
+        raise ValueError(f"{names} are no names")
+    return names
 
 
 def _attribute(owner: Any, name: str) -> Any:

@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
+from multicell.host.files import parse_json
 from multicell.results.folder import file_errors, new_file, put_in_place
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -210,12 +211,14 @@ def _header(text: bytes, length: int, *, first: bool) -> dict[str, Any] | None:
     A checksum only shows that a record is as somebody wrote it.
     """
     try:
-        header = json.loads(text)
+        header = parse_json(text)
         kind, arrays = header.get("kind"), header.get("arrays", [])
         entries = [(header[key], wanted) for key, wanted in _ENTRIES[kind].items()]
         right = (kind == "open") == first and all(_is_right(*entry) for entry in entries)
         shapes = {name: shape for name, _, shape in arrays}
         right = right and len(shapes) == len(arrays)  # a name twice would hide an array
+        names = *shapes, *header.get("columns", ()), *header.get("nutrients", ())
+        right = right and "".join(names).isprintable()
         if kind == "frame":
             right = right and shapes["time"] == shapes["step"] == []
         size = sum(_size(*entry) for entry in arrays)

@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import ANY_WIDTH, Cells, FloatArray, State
+from multicell.cells import ANY_WIDTH, Cells, FloatArray, Phase, State
 from multicell.errors import OutputError
 from multicell.results.coding import decode, encode
 from multicell.results.lineage import LINEAGE_COLUMNS
@@ -123,11 +123,12 @@ def column_places(paths: Iterable[str], *, history: bool = True) -> Places:
 @lru_cache(maxsize=64)
 def _column_places(paths: tuple[str, ...], history: bool) -> Places:
     places: dict[str, tuple[str, str]] = {}
+    few = fits_table(path for path in paths if path.endswith("/offset"))  # not by the hundred
     for path in paths:
         group, _, name = path.rpartition("/")
         if group == "history":  # an observable can have any name
             places |= {path: (group, name)} if history else {}
-        elif name == "offset":
+        elif name == "offset" and (few or not group.startswith("fields/")):
             places[path] = "offsets", group
         elif group == "frames" or group.startswith("lineage/"):
             places[path] = group, name
@@ -186,8 +187,8 @@ def _field_rows(name: str, arrays: Mapping[str, NDArray[Any]]) -> Arrays:
     return found
 
 
-def check_frame(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> None:
-    """Refuse arrays of another type or shape than a frame has; raises OutputError."""
+def check_frame(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str], types: int) -> None:
+    """Refuse other arrays than a frame of a scene with so many types has; raises OutputError."""
     sets = layout(nutrients)
     sets = {**sets, "time": sets["frames/time"], "step": sets["frames/step"]}
     count = arrays["cells/id"].shape if "cells/id" in arrays else ()
@@ -202,8 +203,15 @@ def check_frame(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) ->
         if not right or array.dtype.str != kind.dtype:
             problem = f"{path} has the type {array.dtype.str} and shape {array.shape}"
             raise OutputError(problem, damaged=True)
-    if not np.isin(arrays.get("cells/state", 0), [*State]).all():
-        raise OutputError("a cell is in no known state", damaged=True)
+    known = {"id": 1 << 62, "state": len(State), "phase": len(Phase), "kind": types}
+    for name, many in known.items():
+        check_numbers(f"cells/{name}", arrays.get(f"cells/{name}", np.zeros(0)), many)
+
+
+def check_numbers(path: str, numbers: NDArray[Any], count: int) -> None:
+    """Refuse numbers that are not 0 to ``count`` - 1; raises OutputError."""
+    if numbers.size and not 0 <= numbers.min() <= numbers.max() < count:
+        raise OutputError(f"{path} has numbers that stand for nothing", damaged=True)
 
 
 def read_frame(file: Any, place: int, nutrients: Iterable[str], ends: Ends) -> Arrays:

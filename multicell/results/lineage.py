@@ -130,8 +130,11 @@ class Lineage:
         lineage = cls()
         for log, columns in LINEAGE_COLUMNS.items():
             lineage = lineage._with(log, tuple(arrays[f"{log}/{name}"] for name in columns))
+        ids, mothers = arrays["births/id"], arrays["births/parent"]
+        if ((mothers < -1) | (mothers >= ids)).any():
+            raise ValueError("a mother is no older cell")
         for log in ("deaths", "ends"):
-            if not np.isin(arrays[f"{log}/id"], arrays["births/id"]).all():
+            if not np.isin(arrays[f"{log}/id"], ids).all():
                 raise ValueError(f"{log} are of cells that were not born")
         if not np.isin(arrays["ends/cause"], [_DIVIDED, *State]).all():
             raise ValueError("an end has no known cause")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple, final, overload
 
@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
+from multicell.host.files import parse_toml
 from multicell.results import hdf5, journal
 from multicell.results.frame import Frame
-from multicell.results.layout import check_frame
+from multicell.results.layout import check_frame, check_numbers
 from multicell.results.lineage import LINEAGE_COLUMNS, Lineage
 from multicell.results.records import Arrays, frame_of
 
@@ -35,6 +36,16 @@ class _Rows(NamedTuple):
 
     length: int
     read: Callable[[], Mapping[str, NDArray[np.float64]]]
+
+
+@lru_cache(maxsize=8)
+def _types(scene: str) -> int:
+    """Return how many types of cells a scene has: one where it names none."""
+    try:
+        named = parse_toml(scene).get("types")
+    except ValueError as error:
+        raise OutputError(f"its scene cannot be read: {error}", damaged=True) from error
+    return len(named) if isinstance(named, dict) and named else 1
 
 
 @final
@@ -176,7 +187,7 @@ class Contents:
         """Return a frame."""
         try:
             arrays = self.places[place].arrays()
-            check_frame(arrays, self.nutrients)
+            check_frame(arrays, self.nutrients, _types(self.scene))
             return frame_of(arrays, self.nutrients)
         except OutputError as error:
             how = "is damaged" if error.damaged else "cannot be read"
@@ -193,8 +204,9 @@ class Contents:
             for part in parts:
                 Lineage.check(part)
             whole = {path: np.concatenate([part[path] for part in parts]) for path in paths}
+            check_numbers("births/kind", whole["births/kind"], _types(self.scene))
             return Lineage.of(whole)
-        except ValueError as error:
+        except (ValueError, OutputError) as error:
             raise OutputError(
                 f"the lineage in '{self.folder}' is damaged: {error}", damaged=True
             ) from error

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from multicell.cells import HAZARDS, Cells
 from multicell.errors import OutputError
+from multicell.host.files import parse_json
 from multicell.results.frame import Field, Frame, Progress
 from multicell.results.lineage import LINEAGE_COLUMNS, Lineage
 
@@ -101,6 +102,9 @@ def frame_of(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> Fr
     try:
         there = [name for name in names if f"fields/{name}/values" in arrays]
         progress = arrays["progress/text"].tobytes()
+        known = Progress(**parse_table(progress)) if progress else None
+        if known and INSIDE in arrays and arrays[INSIDE].shape[1:] != (len(known.inside),):
+            raise ValueError(f"{INSIDE} has other columns than progress.inside names")
         return Frame(
             time=float(arrays["time"]),
             step=int(arrays["step"]),
@@ -108,7 +112,7 @@ def frame_of(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> Fr
             concentrations={name: arrays[f"cells/concentration_{name}"] for name in names},
             fields={name: _field_of(name, arrays) for name in there},
             contacts=arrays["contacts/pair"].reshape(-1, 2),
-            progress=Progress(**parse_table(progress)) if progress else None,
+            progress=known,
         )
     except KeyError as error:
         raise OutputError(f"it has no {error.args[0]}", damaged=True) from None
@@ -128,7 +132,7 @@ def _field_of(name: str, arrays: Mapping[str, NDArray[Any]]) -> Field:
 def parse_table(text: bytes | str) -> dict[str, Any]:
     """Return a JSON table."""
     try:
-        value = json.loads(text)
+        value = parse_json(text)
     except (ValueError, RecursionError) as error:
         problem = f"it is not JSON as multicell writes it: {error}"
         raise OutputError(problem, damaged=True) from None

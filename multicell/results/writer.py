@@ -19,7 +19,8 @@ Layout of ``frames.h5`` for k frames and m history rows; a table is a data set w
     /offsets (k + 1)                 table: frame j owns the rows of cells from field ``frames`` of
                                      row j up to that of row j + 1; of what follows likewise, by
                                      fields ``contacts``, ``progress``, ``lineage/<log>`` and
-                                     ``fields/<nutrient>``
+                                     ``fields/<nutrient>``; with some 500 fields and more that
+                                     is a data set ``offset`` in the group of each
     /fields/<nutrient>/coded         grids one after another in C order, as differences from the
                                      prediction of a stencil (:mod:`multicell.results.coding`)
     /fields/<nutrient>/faces (k, 6)  what holds at the faces, for the same stencil

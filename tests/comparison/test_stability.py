@@ -35,6 +35,7 @@ from multicell.integrators.base import Outcome
 from multicell.integrators.rkc import Rkc2
 from multicell.report.plots.colour_vision import APART, distance
 from multicell.scene.scene import Scene, load_scene
+from multicell.scene.start_table import with_cells
 
 CLUSTER = Scene.from_dict(
     {
@@ -99,6 +100,45 @@ def test_in_a_plane_nothing_leaves_it():
     flat = settled_state(SMALL.with_changes({"dimensions": 2}), 1)
     assert np.all(flat.start[:, 2] == 0.0)
     assert flat.rate > 0.0
+
+
+def painted(x, law):
+    """Cells of radius 4 µm along a line."""
+    zero = np.zeros(len(x))
+    cells = {"x_um": np.array(x), "y_um": zero, "z_um": zero, "radius_um": zero + 4.0}
+    return with_cells(Scene.from_dict({"duration": "2 h", "contact": {"law": law}}), cells)
+
+
+@pytest.mark.parametrize(
+    ("x", "most"), [([0, 8], 2), ([0, 8 - 1e-12], 2), ([0, 7, 40, 80], 2), ([0, 8, 16], 3)]
+)
+def test_springs_decay_as_fast_as_their_laplacian_says(x, most):
+    """λ = m k / γ, with m = 2 for a pair and 3 for a chain of three, and k = 1 nN/µm."""
+    drag = 6.0 * np.pi * 5.0 * 4.0
+    assert settled_state(painted(x, "linear"), 1).rate == pytest.approx(most / drag, rel=1e-6)
+
+
+@pytest.mark.parametrize("gap", [-1e-14, -1e-6])
+def test_adhesive_cells_that_touch_by_rounding_pull_each_other_in(gap):
+    """Their limit is that of cells that began where they overlap."""
+    near = settled_state(painted([0, 8 + gap], "jkr"), 1)
+    assert near.rate == pytest.approx(settled_state(painted([0, 7], "jkr"), 1).rate, rel=1e-4)
+    assert near.stiff_limit < 1e4
+
+
+@pytest.mark.parametrize(
+    ("x", "law", "words"),
+    [
+        ([0], "jkr", "needs two cells"),
+        ([0, 20], "jkr", "no cells touch"),
+        ([0, 20, 40, 60], "linear", "no cells touch"),
+        ([0, 8], "hertz", "nothing holds|no cells touch"),
+        ([0, 7, 40], "hertz", "nothing holds"),
+    ],
+)
+def test_where_nothing_bounds_the_step_there_is_no_limit(x, law, words):
+    with pytest.raises(SceneError, match=words):
+        settled_state(painted(x, law), 1)
 
 
 # planted failures

@@ -55,8 +55,11 @@ def _check(header, body):
     return zlib.crc32(body, zlib.crc32(json.dumps(arrays).encode()))
 
 
-def edit_of(rng):
-    """Return a drawn edit, and what it is in words."""
+def edit_of(rng, *, numbers=False):
+    """Return a drawn edit, and what it is in words.
+
+    - ``numbers``: whether also of whole numbers in arrays, which may mean something
+    """
 
     def entry(header, body):
         key, value = rng.choice([k for k in header if k != "arrays"]), rng.choice(VALUES)
@@ -100,12 +103,32 @@ def edit_of(rng):
             there[k] = [there[k][0], kind, rng.choice([[size // int(kind[2:])], [1, size]])]
         return header, body
 
+    def number(header, body):
+        """Exchange a whole number of an array, such as a type, for one that is out of its range."""
+        there, begin = header.get("arrays", []), 0
+        places = []
+        for name, kind, shape in there:
+            size = int(kind[2:]) * math.prod(shape)
+            if kind[1] == "i" and size:
+                places.append((name, kind, begin, size))
+            begin += size
+        if places:
+            name, kind, begin, size = rng.choice(places)
+            values = np.frombuffer(body[begin : begin + size], kind).copy()
+            top = np.iinfo(kind).max
+            place = rng.randrange(len(values))
+            values[place] = rng.choice([-1, -2, 5, 77, top, -top - 1, top // 2])
+            words.append(f"{name}[{place}] = {values[place]}")
+            body = body[:begin] + values.tobytes() + body[begin + size :]
+        return header, body
+
     def longer(header, body):
         words.append("another body")
         return header, rng.choice([b"", body + b"x", body[:-1], bytes(len(body)), body * 2])
 
     words = []
-    way = rng.choice([entry, entry, lacking, text, arrays, arrays, arrays, longer])
+    ways = [entry, entry, lacking, text, arrays, arrays, arrays, longer]
+    way = rng.choice([*ways, number, number, number] if numbers else ways)
     return way, words
 
 
@@ -114,7 +137,7 @@ def forge(folder, rng):
     path, beside = folder / "frames.journal", folder / "frames.h5"
     if path.is_file() and (not beside.is_file() or rng.random() < 0.8):
         number = rng.randrange(len(Reader(path).records))
-        edit, words = edit_of(rng)
+        edit, words = edit_of(rng, numbers=True)
         rewrite(path, number, edit)
         return f"record {number}: {' '.join(words)}"
     with h5py.File(beside, "r+") as file:

@@ -1,5 +1,7 @@
 """Small grids: transforms as matrices against SciPy."""
 
+import math
+
 import numpy as np
 import pytest
 from numba import njit
@@ -21,9 +23,9 @@ D = 1000.0
 def test_the_inverse_is_that_of_scipy(shape, values):
     rng = np.random.default_rng(1)
     y = rng.normal(size=shape).astype(np.float32)
-    halves = [dense.halves(n, v) for n, v in zip(shape, values, strict=True)]
-    u = y.copy()
-    product = dense.Inverse(halves).overwrite(u, 0.2, 0.7)
+    u, room = y.copy(), np.empty((2, y.size), np.float32)
+    halves, of = zip(*(dense.halves(n, v) for n, v in zip(shape, values, strict=True)), strict=True)
+    product = dense._invert(u, 0.2, room, *halves, *(0.7 * along for along in of))
     spectrum = y.astype(float)
     for axis, v in enumerate(values):
         spectrum = (fft.dst if v else fft.dct)(spectrum, type=2, axis=axis, norm="ortho")
@@ -66,6 +68,22 @@ def test_a_steady_field_of_few_nodes_is_that_of_a_direct_solver(half):
     assert report.uptake == pytest.approx(taken, rel=1e-8)
     assert report.inflow == pytest.approx(taken, rel=1e-8)
     assert report.residual < 2e-9 * taken
+
+
+def test_a_single_node_meets_the_root_of_its_balance():
+    """12 D/h² (c₀ - c) = q c / (K + c), for rates, sizes and levels over orders of magnitude."""
+    rng, shape = np.random.default_rng(0), (1, 1, 1)
+    for _ in range(3000):
+        h, level = 10.0 ** rng.uniform(0.0, 2.0), 10.0 ** rng.uniform(-4.0, 1.0)
+        operator = Diffusion(Box((0.0, 0.0, 0.0), shape, h), 10.0 ** rng.uniform(1.0, 4.0), level)
+        half, quick = level * 10.0 ** rng.uniform(-4.0, 2.0), 12.0 * operator.stiffness
+        most = operator.stiffness * level * 10.0 ** rng.uniform(-6.0, 4.0)
+        start = np.full(shape, level * rng.choice([0.0, 1.0, 10.0, rng.random()]))
+        c, _ = solve_steady(operator, np.full(shape, most), half, start)
+        b, q = quick * (half - level) + most, quick * level * half
+        root = math.sqrt(b * b + 4.0 * quick * q)
+        exact = 2.0 * q / (b + root) if b > 0.0 else (root - b) / (2.0 * quick)
+        assert c.item() == pytest.approx(exact, rel=1e-6, abs=1e-12 * level)
 
 
 @pytest.mark.parametrize("varied", [False, True])

@@ -4,6 +4,7 @@
 runs in a process of its own: HDF5 is not Python, and can crash or hang.
 """
 
+import math
 import os
 import random
 import shutil
@@ -16,6 +17,7 @@ from pathlib import Path
 
 import forged
 import h5py
+import numpy as np
 import pytest
 
 import multicell as mc
@@ -229,3 +231,34 @@ def test_arrays_of_a_frame_that_hide_each_other_are_damage(change, journal, tmp_
     with pytest.raises(mc.OutputError, match="frames 0 to 1 can be read") as refused:
         mc.load_result(folder)
     assert refused.value.damaged
+
+
+@pytest.mark.parametrize("bad", [-2, 77])
+@pytest.mark.parametrize("name", ["id", "kind", "phase", "state", "births/kind", "births/parent"])
+def test_numbers_that_stand_for_nothing_are_damage(name, bad, journal, tmp_path):
+    """Of cells, states, phases and types, which others read as indices; the scene has two types."""
+    folder, path = tmp_path / "out", name if "/" in name else f"cells/{name}"
+    shutil.copytree(journal, folder)
+    records = Reader(folder / "frames.journal").records
+    paths = [[array[0] for array in record.header.get("arrays", ())] for record in records]
+
+    def edit(header, body):
+        sizes = [int(kind[2:]) * math.prod(shape) for _, kind, shape in header["arrays"]]
+        k = [array[0] for array in header["arrays"]].index(path)
+        begin = sum(sizes[:k])
+        values = np.frombuffer(body[begin : begin + sizes[k]], header["arrays"][k][1]).copy()
+        values[-1] = bad - (1 << 62) if (name, bad) == ("id", 77) else bad
+        return header, body[:begin] + values.tobytes() + body[begin + sizes[k] :]
+
+    forged.rewrite(
+        folder / "frames.journal", next(k for k, x in enumerate(paths) if path in x), edit
+    )
+    for read in (
+        lambda: mc.load_result(folder).frames[0],
+        lambda: mc.export(folder, tmp_path / "tables"),
+        lambda: mc.load_result(folder).report(),
+        lambda: mc.resume(folder, 0, output=tmp_path / "again", report=False, threads=1),
+    ):
+        with pytest.raises(mc.OutputError, match=r"stand for nothing|no older cell") as refused:
+            read()
+        assert refused.value.damaged

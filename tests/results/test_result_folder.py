@@ -6,6 +6,7 @@ import runpy
 import shutil
 import tomllib
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -22,9 +23,13 @@ from multicell.cli.main import main
 from multicell.errors import OutputError
 from multicell.report.plots.run import PICTURES
 from multicell.results import folder as folder_module
+from multicell.results import hdf5
 from multicell.results.folder import LOCK, write_text
+from multicell.results.hdf5 import write_hdf5
+from multicell.results.journal import array_digest
+from multicell.results.lineage import LINEAGE_COLUMNS, Lineage
 from multicell.results.reader import Contents, Frames
-from multicell.results.records import arrays_of
+from multicell.results.records import arrays_of, log_arrays
 from multicell.results.writer import Store
 
 QUICK = {"duration": "4 min", "output.every": "1 min", "initial.count": 12}
@@ -160,6 +165,26 @@ def test_a_history_as_wide_as_a_table_can_be_is_one(length, tmp_path):
         }
         with h5py.File(folder / "frames.h5") as file:
             assert isinstance(file["history"], h5py.Group if more else h5py.Dataset)
+
+
+def test_fields_by_the_hundred_have_offsets_of_their_own(tmp_path):
+    """A table holds as many as it has room for, 502 with these names, beside six others."""
+    frame = spheroid(3)
+    for count in (502, 503, 1_200):
+        names = [f"{k:05}" for k in range(count)]
+        found = {name: np.full(len(frame.cells), float(name)) for name in names}
+        fields = {names[-1]: replace(frame.fields["oxygen"], name=names[-1])}
+        arrays = arrays_of(replace(frame, concentrations=found, fields=fields), names)
+        log = log_arrays(Lineage().born(frame.cells, 0.0), dict.fromkeys(LINEAGE_COLUMNS, 0))
+        path = tmp_path / f"{count}.h5"
+        write_hdf5(path, "", names, [(arrays, array_digest(arrays), log)], {}, "0" * 32)
+        hdf5._FRAMES.clear()
+        with h5py.File(path) as file:
+            assert len(file["offsets"].dtype.names) == 6 + (502 if count == 502 else 0)
+        back = hdf5.File(path).frame(0)
+        assert {name: a.tobytes() for name, a in back.items()} == {
+            name: a.tobytes() for name, a in arrays.items()
+        }
 
 
 def _lose_all(file):

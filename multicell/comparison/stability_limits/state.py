@@ -30,6 +30,7 @@ the contact that this mode strains most."""
 
 MIN_NOTICED: Final = 0.035  # motion that counts as instability, over the same overlap
 
+_PARTED = 1e-4  # decay rate over that of pressed cells; what is left of contacts that part for ever
 _AT_REST = 1e-10  # speed of a cluster at rest, in radii times the largest decay rate
 _DOUBLINGS = 16  # a step that is wanted may be so much longer than the first: 2^16
 _RTOL, _ATOL = 1e-11, 1e-9  # of the reference; the second in mean radii
@@ -119,8 +120,8 @@ def settled_state(scene: Scene, threads: int | None = None) -> TrialState:
 
     - ``scene``: external forces, prescribed motion and motility are left out, growth stands still
 
-    Raises SceneError if the scene starts with less than two cells, or none of them touch;
-    StepFailed if the reference method cannot settle them.
+    Raises SceneError if the scene starts with less than two cells, if none of them touch, or if
+    nothing holds them together; StepFailed if the reference method cannot settle them.
     """
     if scene.initial.count < 2:
         raise SceneError(
@@ -136,6 +137,9 @@ def settled_state(scene: Scene, threads: int | None = None) -> TrialState:
     blank = TrialState(scene, simulation.mechanics, motion, cells.position, np.nan, np.nan)
     rest = rest_positions(blank)
     rate, mode = largest_decay(blank.system(0.0, 1.0), rest, scene.dimensions == 2)
+    if not rate > _PARTED * _pressed_bound(blank):
+        problem = "nothing holds the cells together: they part, and then any step is stable"
+        raise SceneError("", problem, "A contact law with adhesion or a domain holds them.")
     overlap = _strained_overlap(blank, rest, mode)
     mode *= PUSH * overlap / np.sqrt(np.square(mode).sum(axis=1)).max()
     return replace(blank, start=rest + mode, rate=rate, noticed=MIN_NOTICED * overlap, known=[])
@@ -144,6 +148,8 @@ def settled_state(scene: Scene, threads: int | None = None) -> TrialState:
 def _strained_overlap(state: TrialState, position: FloatArray, mode: FloatArray) -> float:
     """Return the overlap in µm of the pair in contact that a mode strains most."""
     pairs = state.system(0.0, 1.0).contacts(0.0, position)
+    if not len(pairs):  # springs at rest
+        return 1e-4 * state.radius
     line = position[pairs[:, 1]] - position[pairs[:, 0]]
     distance = np.linalg.norm(line, axis=1)
     strain = np.einsum("ij,ij->i", mode[pairs[:, 1]] - mode[pairs[:, 0]], line) / distance
@@ -155,7 +161,8 @@ def _strained_overlap(state: TrialState, position: FloatArray, mode: FloatArray)
 def rest_positions(state: TrialState) -> FloatArray:
     """Return where the cells of a state come to rest, or where they are after a long time."""
     position = state.start
-    length = 10.0 / _bound(state, position)
+    _bound(state, position)  # cells that do not touch are refused
+    length = 10.0 / _pressed_bound(state)  # their first contacts may be no more than rounding
     velocity = np.empty_like(position)
     time = 0.0
     for _ in range(_DOUBLINGS):
@@ -175,6 +182,13 @@ def _bound(state: TrialState, position: FloatArray) -> float:
         hint = "A smaller initial.spacing lets them touch."
         raise SceneError("", "no cells touch: there is no motion whose stability can be lost", hint)
     return bound
+
+
+def _pressed_bound(state: TrialState) -> float:
+    """Return a bound on the decay rates, 1/s, of the first cells where they are a tenth nearer."""
+    middle = state.start.mean(axis=0)
+    pressed = middle + 0.9 * (state.start - middle)
+    return state.system(0.0, 1.0).stiffness_bound(0.0, pressed)
 
 
 def _advance(system: Mechanics, position: FloatArray) -> FloatArray:

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
-from multicell.cells import HAZARDS, Cells, FloatArray, IntArray, State
+from multicell.cells import HAZARDS, Cells, FloatArray, IntArray, State, rows_by_id
 from multicell.errors import OutputError
 from multicell.report.plots.style import STATE_COLOURS, type_colours
 from multicell.report.wording import written
@@ -134,9 +134,8 @@ def clone_colours(count: int) -> FloatArray:
 def founder(ids: IntArray, lineage: Mapping[str, NDArray[Any]]) -> IntArray:
     """Return the founder of each cell, (n,): the ancestor by which its clone is named."""
     known, parents = lineage["id"], lineage["parent"]
-    # cells that the lineage does not know are founders
-    parent = np.full(int(max(known.max(initial=-1), ids.max(initial=-1))) + 1, -1, np.int64)
-    parent[known] = parents
+    # the last one, -1, is of cells that the lineage does not know: they are founders
+    mother = np.append(rows_by_id(known, parents), -1)
     first = known[parents < 0]
     wanted = 1 if len(first) >= _MIN_FOUNDERS else _MIN_FOUNDERS
     generation = first
@@ -144,15 +143,11 @@ def founder(ids: IntArray, lineage: Mapping[str, NDArray[Any]]) -> IntArray:
         if len(generation) >= wanted or len(generation) == 0:
             break
         generation = known[np.isin(parents, generation)]
-    named = np.zeros(len(parent), bool)
-    named[generation if len(generation) else first] = True
-    found = np.asarray(ids).copy()
-    while True:
-        above = parent[found]
-        climbing = ~named[found] & (above >= 0)
-        if not climbing.any():
-            return found
-        found[climbing] = above[climbing]
+    named = np.append(np.isin(known, generation if len(generation) else first), True)
+    row = rows_by_id(known, ids)
+    while (climbing := ~named[row] & (mother[row] >= 0)).any():
+        row[climbing] = mother[row[climbing]]
+    return np.where(row < 0, ids, np.append(known, -1)[row])
 
 
 def _by_value(frame: Frame, name: str, limits: tuple[float, float] | None) -> Colouring:
