@@ -11,6 +11,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from running import copy_lists
 from scipy.integrate import quad
 
 import multicell as mc
@@ -92,6 +93,7 @@ def forces(folder, *arguments, code=RUN):
 
 @pytest.mark.slow
 def test_a_law_from_a_file_is_compiled_once_and_anew_after_every_edit(tmp_path):
+    copy_lists(tmp_path / "cache")
     file = tmp_path / "mine.py"
     file.write_text(LAW.format(factor=1.0))
     expected = 2.0 / 2.5

@@ -1,7 +1,10 @@
 """Helpers to use scenes in tests: run them to the end, expect a refusal, count survivors."""
 
+import shutil
 from contextlib import contextmanager
+from pathlib import Path
 
+import numba
 import pytest
 from scipy import stats
 
@@ -32,3 +35,13 @@ def within(count, trials, chance):
     """Return whether a binomial count lies in the interval of 99.99 %."""
     low, high = stats.binom.interval(0.9999, trials, chance)
     return low <= count <= high
+
+
+def copy_lists(cache):
+    """Copy what is compiled of neighbour lists to another folder for compiled code, if it is there.
+
+    They take most of what two cells in an empty folder have to compile, and know no law.
+    """
+    for room in Path(numba.config.CACHE_DIR or cache).glob("neighbours_*"):
+        being_written = shutil.ignore_patterns("*.tmp.*")
+        shutil.copytree(room, cache / room.name, ignore=being_written, dirs_exist_ok=True)

@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from running import copy_lists
 
 import multicell as mc
 from multicell.compiling import kind_of
@@ -162,6 +163,7 @@ def check_apart(program, cache):
 @pytest.mark.skipif(os.cpu_count() == 1, reason="no core is free for another process")
 @pytest.mark.slow
 def test_the_process_ends_with_the_run_or_with_the_first_division(tmp_path):
+    copy_lists(tmp_path)
     check_apart(PROCESS, tmp_path)
 
 
