@@ -82,6 +82,7 @@ class Events(NamedTuple):
 
 
 _NOBODY = np.empty(0, dtype=np.int64)
+_CYCLING = ("state", "phase", "progress", "phase_length")
 
 
 def grow(plan: BiologyPlan, cells: Cells, signals: Signals, factor: FloatArray, dt: float) -> Grown:
@@ -109,15 +110,16 @@ def age_cells(
     signals: Signals,
     begin: float,
     end: float,
+    **columns: FloatArray,
 ) -> tuple[Cells, float]:
-    """Return the cells at the end of a step, and the volume that dead ones have lost in it, µm³."""
-    now, age = grown.cycling, cells.age + (end - begin)
-    after = cells.changed(radius=grown.radius, lag=grown.lag, age=age)
-    if now is not None:
-        after = after.changed(
-            state=now.state, phase=now.phase, progress=now.progress, phase_length=now.phase_length
-        )
-    after = bind(plan, after, cells, signals, end)
+    """Return the cells at the end of a step, and the volume that dead ones have lost in it, µm³.
+
+    - ``columns``: others that are known then
+    """
+    columns |= {"radius": grown.radius, "lag": grown.lag, "age": cells.age + (end - begin)}
+    if (now := grown.cycling) is not None:
+        columns |= {name: getattr(now, name) for name in _CYCLING}
+    after = bind(plan, cells.changed(**columns), cells, signals, end)
     dead = cells.dead
     if not np.count_nonzero(dead):
         return after, 0.0
@@ -207,13 +209,16 @@ def decide(
     before, dt = cells.state, None if exposure is None else exposure.length
     dying = deaths(plan, cells, signals, exposure, time)
     state = update_states(plan, cells, signals, dying, dt=dt, ahead=ahead)
-    cells = cells.changed(state=state, **dying.columns)
+    if state is not before or dying.columns:
+        cells = cells.changed(state=state, **dying.columns)
     if exposure is not None and not plan.restricted:
         cells = rest_from_birth(cells, before, exposure)
     if plan.restricted:
         due = deciding(cells, dt or plan.coupling_step, plan.cells.reaction_time, ahead)
         well = ~wants_rest(plan, cells, signals)
         cells = leave_rest(plan, cells, due & well)
+    if cells.state is before:
+        return Decided(cells, np.zeros(len(cells), bool), 0.0)
     died, lost = cells.state != before, 0.0
     if np.count_nonzero(died) and np.count_nonzero(died := died & cells.dead):
         cells, lost = die(plan, cells, died, dying, exposure)
