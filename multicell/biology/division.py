@@ -46,7 +46,7 @@ _NONE: Signals = {}
 _AT_BIRTH = ("mutation to", "asymmetric division to")
 """Behaviours that are chances of each daughter, and of exactly one, to be of another type."""
 _CHANCES = tuple(f"{behaviour} " for behaviour in _AT_BIRTH)
-_NOBODY = np.empty(0, dtype=np.int64)
+NOBODY = np.empty(0, dtype=np.int64)
 
 
 @final
@@ -342,15 +342,12 @@ def mutate_as_found(
     - ``first``: identity of any first daughter
     """
     if cells.id is exposure.began.id:  # no cell was born
-        return cells, _NOBODY
+        return cells, NOBODY
     known = tuple(
-        part
-        for name, parts in plan.responses.items()
-        if name.startswith(_CHANCES)
-        for part in parts
+        part for name, of in plan.responses.items() if name.startswith(_CHANCES) for part in of
     )
     if not known:
-        return cells, _NOBODY
+        return cells, NOBODY
     mothers, row = exposure.began, exposure.row
     rows = ((mothers.id[row] != cells.id) & ~cells.dead).nonzero()[0]
     if not rows.size:

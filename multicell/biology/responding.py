@@ -246,16 +246,15 @@ def wants_rest(plan: BiologyPlan, cells: Cells, signals: Signals) -> Mask:
     A chance p is the part of cells that rest: each has its own level, drawn once for its life, and
     rests where p is above it. A threshold is p = 0 or 1.
     """
-    resting: Any = None
+    resting: Any = False
     known = plan.responses.get("rest", ())
     graded = any(not part.yes_or_no for part in known)
     own = random.uniform(plan.seed, Purpose.REST, 0, cells.id)[:, 0] if graded else None
     for part in known:
         rests = part.value(signals, cells)
         rests = rests if part.yes_or_no else rests > own
-        rests = rests if part.mask is None else rests & part.mask[cells.kind]
-        resting = rests if resting is None else resting | rests
-    return np.zeros(len(cells), dtype=np.bool_) if resting is None else np.asarray(resting)
+        resting = resting | (rests if part.mask is None else rests & part.mask[cells.kind])
+    return np.asarray(resting) if known else np.zeros(len(cells), dtype=np.bool_)
 
 
 def rate_of_harm(

@@ -73,8 +73,7 @@ def update_states(
     - ``dt``, ``ahead``: lengths of the step that has ended and of the next one, s; absent: the
       usual one
 
-    Returns (n,) int8: values of :class:`multicell.cells.State`; the array of ``cells``, which are
-    not changed, where every state stays.
+    Returns (n,) int8: values of :class:`multicell.cells.State`; if none changes ``cells.state``.
     """
     state = cells.state
     if plan.may_rest and not plan.restricted:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple, final
 import numpy as np
 
 from multicell.biology.cycle import Cycling, advance_cycle, leave_rest, phase_pace
-from multicell.biology.division import births
+from multicell.biology.division import NOBODY, births
 from multicell.biology.growth import corrected_factor, volumes_after
 from multicell.biology.motion import bond_levels
 from multicell.biology.responding import wants_rest
@@ -81,10 +81,6 @@ class Events(NamedTuple):
     row: IntArray | None
 
 
-_NOBODY = np.empty(0, dtype=np.int64)
-_CYCLING = ("state", "phase", "progress", "phase_length")
-
-
 def grow(plan: BiologyPlan, cells: Cells, signals: Signals, factor: FloatArray, dt: float) -> Grown:
     """Let cells grow for a time ``dt`` (s).
 
@@ -110,16 +106,15 @@ def age_cells(
     signals: Signals,
     begin: float,
     end: float,
-    **columns: FloatArray,
 ) -> tuple[Cells, float]:
-    """Return the cells at the end of a step, and the volume that dead ones have lost in it, µm³.
-
-    - ``columns``: others that are known then
-    """
-    columns |= {"radius": grown.radius, "lag": grown.lag, "age": cells.age + (end - begin)}
-    if (now := grown.cycling) is not None:
-        columns |= {name: getattr(now, name) for name in _CYCLING}
-    after = bind(plan, cells.changed(**columns), cells, signals, end)
+    """Return the cells at the end of a step, and the volume that dead ones have lost in it, µm³."""
+    now, age = grown.cycling, cells.age + (end - begin)
+    after = cells.changed(radius=grown.radius, lag=grown.lag, age=age)
+    if now is not None:
+        after = after.changed(
+            state=now.state, phase=now.phase, progress=now.progress, phase_length=now.phase_length
+        )
+    after = bind(plan, after, cells, signals, end)
     dead = cells.dead
     if not np.count_nonzero(dead):
         return after, 0.0
@@ -172,7 +167,7 @@ def divide_and_remove(
     born, gone = births(plan, cells, next_id, dt, signals, factor), lysed(plan, cells)
     if born is None and gone is None:
         return Events(cells, next_id, 0, 0.0, None)
-    ripe, mother, daughters = born or (np.zeros(len(cells), bool), _NOBODY, Cells.empty())
+    ripe, mother, daughters = born or (np.zeros(len(cells), bool), NOBODY, Cells.empty())
     keep = ~ripe if gone is None else ~(ripe | gone)
     (kept,) = keep.nonzero()
     # one copy of what stays
@@ -217,9 +212,7 @@ def decide(
         due = deciding(cells, dt or plan.coupling_step, plan.cells.reaction_time, ahead)
         well = ~wants_rest(plan, cells, signals)
         cells = leave_rest(plan, cells, due & well)
-    if cells.state is before:
-        return Decided(cells, np.zeros(len(cells), bool), 0.0)
-    died, lost = cells.state != before, 0.0
-    if np.count_nonzero(died) and np.count_nonzero(died := died & cells.dead):
+    died, lost, now = np.zeros(len(cells), bool), 0.0, cells.state
+    if now is not before and np.count_nonzero(died := (now != before) & cells.dead):
         cells, lost = die(plan, cells, died, dying, exposure)
     return Decided(cells, died, lost)

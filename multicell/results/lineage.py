@@ -96,9 +96,8 @@ class Lineage:
         new, gone = (before.id.take(row) != after.id).nonzero()[0], np.ones(len(before), bool)
         mothers, cause = row[new], before.state.copy()
         gone[row], gone[mothers], cause[mothers] = False, True, _DIVIDED
-        born = (after.id[new], after.parent[new], after.kind[new], time)
-        ends = before.id[gone], time, cause[gone]
-        return self._with("births", born)._with("ends", ends)
+        born = self._with("births", (after.id[new], after.parent[new], after.kind[new], time))
+        return born._with("ends", (before.id[gone], time, cause[gone]))
 
     def retyped(self, ids: IntArray, kinds: NDArray[np.int16]) -> Lineage:
         """Return it with another type of cells of which births have been noted."""

@@ -200,8 +200,8 @@ def _after_events(
     here: Signals = {}
     if plan.receptors is not None:
         here = run.signals(state.cells, contacts, begin)
-    now = {"position": moved.position, "pressure": moved.pressure}
-    aged, lost = age_cells(plan, state.cells, grown, here, begin, end, **now)
+    aged, lost = age_cells(plan, state.cells, grown, here, begin, end)
+    aged = aged.changed(position=moved.position, pressure=moved.pressure)
     here = run.signals(aged, contacts, end)
     threads = run.mover.system.threads
     share = partial(share_rows, threads) if threads > 1 else None
@@ -273,8 +273,7 @@ def _exposed(
     jumped = timeline.plan.changes_at(begin)
     # whether more than the ends of the step matters: rates, or fields that jumped
     followed = plan.exposed if plan.acting or jumped else frozenset()
-    if plan.awaited:
-        followed = followed.union(*(part.needs for part in plan.awaited))
+    followed = followed.union(*(part.needs for part in plan.awaited))
     if plan.networks is not None:
         followed = followed | plan.networks.inputs
     marches = fields.marches
@@ -430,9 +429,9 @@ def _settled(attempt: tuple[Any, ...], again: bool) -> tuple[_Tried, Any, int, i
     run, state, _, _, timeline, *_ = attempt
     fields, dt = run.field_system, timeline.time - state.timeline.time
     trial = cast("Callable[..., _Tried]", partial(_attempt, *attempt))
-    tried, until, missed, moved = trial(), cast(Any, 1.0), 0, 0
+    tried, until, moved = trial(), cast(Any, 1.0), 0
     if not again:
-        return tried, until, missed, tried.unsettled
+        return tried, until, 0, tried.unsettled
     died = np.count_nonzero(tried.decided.died)
     alone: Mapping[str, FloatArray] = {}
     for number in range(_MOST_PASSES + 1):
