@@ -43,7 +43,7 @@ def lengths(vectors: FloatArray) -> FloatArray:
 def corners(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the lowest and the highest coordinates of points (n, 3), n > 0: two of (3,)."""
     columns = np.ascontiguousarray(points.T)
-    return columns.min(axis=1), columns.max(axis=1)
+    return np.minimum.reduce(columns, axis=1), np.maximum.reduce(columns, axis=1)
 
 
 def weighted_mean(values: FloatArray, weights: FloatArray) -> Any:

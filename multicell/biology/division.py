@@ -45,6 +45,8 @@ _NONE: Signals = {}
 
 _AT_BIRTH = ("mutation to", "asymmetric division to")
 """Behaviours that are chances of each daughter, and of exactly one, to be of another type."""
+_CHANCES = tuple(f"{behaviour} " for behaviour in _AT_BIRTH)
+NOBODY = np.empty(0, dtype=np.int64)
 
 
 @final
@@ -339,17 +341,13 @@ def mutate_as_found(
 
     - ``first``: identity of any first daughter
     """
-    none = np.empty(0, dtype=np.int64)
     if cells.id is exposure.began.id:  # no cell was born
-        return cells, none
+        return cells, NOBODY
     known = tuple(
-        part
-        for name, parts in plan.responses.items()
-        if name.startswith(tuple(f"{behaviour} " for behaviour in _AT_BIRTH))
-        for part in parts
+        part for name, of in plan.responses.items() if name.startswith(_CHANCES) for part in of
     )
     if not known:
-        return cells, none
+        return cells, NOBODY
     mothers, row = exposure.began, exposure.row
     rows = ((mothers.id[row] != cells.id) & ~cells.dead).nonzero()[0]
     if not rows.size:

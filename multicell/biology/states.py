@@ -73,9 +73,9 @@ def update_states(
     - ``dt``, ``ahead``: lengths of the step that has ended and of the next one, s; absent: the
       usual one
 
-    Returns (n,) int8: values of :class:`multicell.cells.State`; ``cells`` is not changed.
+    Returns (n,) int8: values of :class:`multicell.cells.State`; if none changes ``cells.state``.
     """
-    state = cells.state.copy()
+    state = cells.state
     if plan.may_rest and not plan.restricted:
         wanted = np.where(wants_rest(plan, cells, signals), _RESTING, _GROWING)
         if np.count_nonzero(wanted != state):  # else it does not matter who is due
@@ -84,7 +84,7 @@ def update_states(
     necrosis, apoptosis, _ = deaths(plan, cells, signals) if dying is None else dying
     for new, part in ((_NECROTIC, necrosis), (_APOPTOTIC, apoptosis)):
         if part is not None:
-            state[np.isfinite(part) & ~cells.dead] = new
+            state = np.where(np.isfinite(part) & ~cells.dead, new, state)
     return state
 
 

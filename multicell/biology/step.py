@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple, final
 import numpy as np
 
 from multicell.biology.cycle import Cycling, advance_cycle, leave_rest, phase_pace
-from multicell.biology.division import births
+from multicell.biology.division import NOBODY, births
 from multicell.biology.growth import corrected_factor, volumes_after
 from multicell.biology.motion import bond_levels
 from multicell.biology.responding import wants_rest
@@ -79,9 +79,6 @@ class Events(NamedTuple):
     removals: int
     released: float
     row: IntArray | None
-
-
-_NOBODY = np.empty(0, dtype=np.int64)
 
 
 def grow(plan: BiologyPlan, cells: Cells, signals: Signals, factor: FloatArray, dt: float) -> Grown:
@@ -170,7 +167,7 @@ def divide_and_remove(
     born, gone = births(plan, cells, next_id, dt, signals, factor), lysed(plan, cells)
     if born is None and gone is None:
         return Events(cells, next_id, 0, 0.0, None)
-    ripe, mother, daughters = born or (np.zeros(len(cells), bool), _NOBODY, Cells.empty())
+    ripe, mother, daughters = born or (np.zeros(len(cells), bool), NOBODY, Cells.empty())
     keep = ~ripe if gone is None else ~(ripe | gone)
     (kept,) = keep.nonzero()
     # one copy of what stays
@@ -207,14 +204,15 @@ def decide(
     before, dt = cells.state, None if exposure is None else exposure.length
     dying = deaths(plan, cells, signals, exposure, time)
     state = update_states(plan, cells, signals, dying, dt=dt, ahead=ahead)
-    cells = cells.changed(state=state, **dying.columns)
+    if state is not before or dying.columns:
+        cells = cells.changed(state=state, **dying.columns)
     if exposure is not None and not plan.restricted:
         cells = rest_from_birth(cells, before, exposure)
     if plan.restricted:
         due = deciding(cells, dt or plan.coupling_step, plan.cells.reaction_time, ahead)
         well = ~wants_rest(plan, cells, signals)
         cells = leave_rest(plan, cells, due & well)
-    died, lost = cells.state != before, 0.0
-    if np.count_nonzero(died) and np.count_nonzero(died := died & cells.dead):
+    died, lost, now = np.zeros(len(cells), bool), 0.0, cells.state
+    if now is not before and np.count_nonzero(died := (now != before) & cells.dead):
         cells, lost = die(plan, cells, died, dying, exposure)
     return Decided(cells, died, lost)

@@ -175,21 +175,22 @@ class Auto(ErrorControl):
                 speed = step.motion / length if length > 0.0 else 0.0
             if name != choice.method or _passes(work) - total > choice.limit:
                 hold = LOOK
-            system.learnt = known._replace(
-                ratio=choice.ratio or known.ratio,
-                age=0.0 if choice.ratio else known.age + 1.0,
-                speed=speed,
-                seen=0.0 if step is not None else known.seen + 1.0,
-                saved=0.0 if choice.trial else known.saved + spent,
-                steps=0.0 if choice.trial else known.steps + 1.0,
-                begin=motion.begin,
-                end=motion.end,
-                atol=self.atol,
-                taken=float(_NUMBER[name]),
-                finer=choice.finer,
-                stiffness=choice.stiffness,
-                hold=hold,
-                limit=choice.limit if hold > 0.0 else 0.0,
+            system.learnt = Learnt(
+                choice.ratio or known.ratio,
+                0.0 if choice.ratio else known.age + 1.0,
+                speed,
+                0.0 if step is not None else known.seen + 1.0,
+                0.0 if choice.trial else known.saved + spent,
+                0.0 if choice.trial else known.steps + 1.0,
+                motion.begin,
+                motion.end,
+                self.atol,
+                float(_NUMBER[name]),
+                choice.finer,
+                choice.stiffness,
+                hold,
+                choice.limit if hold > 0.0 else 0.0,
+                *known.excess,
             )
         return outcome
 

@@ -55,11 +55,10 @@ class Replays(NamedTuple):
 
     def after(self, cost: float, replay: float = 0.0, effect: float | None = None) -> Replays:
         """Return the replays after a coupling step of some cost, and perhaps its replay."""
-        noted = self._replace(total=self.total + cost, spent=self.spent + replay, step=cost)
-        if effect is None:
-            return noted
-        largest = max(effect, self.largest)
-        return noted._replace(done=self.done + 1.0, latest=effect, largest=largest)
+        done, latest, largest = self[:3]
+        if effect is not None:
+            done, latest, largest = done + 1.0, effect, max(effect, largest)
+        return Replays(done, latest, largest, self.total + cost, self.spent + replay, cost)
 
 
 def shifted_positions(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import final
 
 import numpy as np
@@ -57,7 +57,7 @@ class Box:
         """Number of nodes."""
         return self.shape[0] * self.shape[1] * self.shape[2]
 
-    @property
+    @cached_property
     def volume(self) -> float:
         """Volume of a node, µm³."""
         return self.spacing**2 * (self.height or self.spacing)

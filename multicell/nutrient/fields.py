@@ -315,7 +315,7 @@ class FieldSystem:
         # asked for only where networks exchange with fields
         whole = None if self._fluxes is None else np.broadcast_to(until, len(cells)) == 1.0
         leaving = None
-        if np.ndim(until) and (rows := np.flatnonzero(until < 1.0)).size:
+        if isinstance(until, np.ndarray) and (rows := np.flatnonzero(until < 1.0)).size:
             leaving = rows, begin + until[rows] * (end - begin)
         for group in self.groups:
             followed = [name for name in group.names if name in follow and name in self._marched]

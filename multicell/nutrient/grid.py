@@ -199,7 +199,7 @@ class BoxLayout:
             result[near] = self._differences(position[near], padded, self._gather_padded)
         return result
 
-    @property
+    @cached_property
     def _repeats(self) -> bool:
         return any(self.box.repeats)
 

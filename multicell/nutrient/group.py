@@ -97,11 +97,11 @@ class FieldGroup:
             self._settle(time)
         self.finish(time)
         reports, rows = self.info["reports"], zip(self.names, self.info["rates"], strict=True)
-        costs = ("newton", "cg", "residual")  # what a report begins with
-        return {
-            name: self._exchange(row, **dict(zip(costs, reports[name], strict=False)))
-            for name, row in rows
-        }
+        found = {}
+        for name, row in rows:
+            newton, cg, residual, *_ = reports[name]
+            found[name] = self._exchange(row, newton=newton, cg=cg, residual=residual)
+        return found
 
     def advance(
         self,
@@ -261,10 +261,10 @@ class FieldGroup:
         return found.lifted
 
     def finish(self, time: float) -> None:
-        """Give the fields what has been found."""
+        """Give the fields what has been found, which nobody will write to any more."""
         for field, values in zip(self.fields.values(), self.nodes, strict=True):
             conditions = field.parameters.conditions(self.layout, field.level(time))
-            field.take(self.layout, values.copy(), conditions)
+            field.take(self.layout, values, conditions)
 
     def _exchange(self, row: FloatArray, **more: Any) -> FieldExchange:
         """Return the exchange of a field from a row of solvers' reports."""

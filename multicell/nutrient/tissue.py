@@ -71,14 +71,14 @@ def drawn_in(position: FloatArray, radius: FloatArray) -> FloatArray:
     gap = _GAP * 2.0 * float(radius.max())
     if _is_dense(position, few, gap):
         return position
-    last, first = _ends(position, few)
+    ends = _ends(position, few)
     # no gap that wide is by what is not finite
-    if (last[1:] - last[:-1]).max() <= gap and (first[:-1] - first[1:]).max() <= gap:
+    if (ends[1:] - ends[:-1]).max() <= gap:
         return position
     if not np.isfinite(position).all():
         return position
-    low = -np.array([_outermost(x, gap, few) for x in -first.T])
-    high = np.array([_outermost(x, gap, few) for x in last.T])
+    reached = np.array([_outermost(x, gap, few) for x in ends.T])
+    high, low = reached[:3], -reached[3:]
     inside = (position >= low) & (position <= high)
     return position if inside.all() else np.clip(position, low, high)
 
@@ -91,8 +91,7 @@ def drawn_to_ball(position: FloatArray, radius: FloatArray) -> FloatArray:
     middle = weighted_mean(position, cubes(radius))
     away = position - middle
     distance = lengths(away)
-    last, _ = _ends(distance[:, None], few)
-    surface = _outermost(last[:, 0], _GAP * 2.0 * float(radius.max()), few)
+    surface = _outermost(_ends(distance[:, None], few)[:, 0], _GAP * 2.0 * float(radius.max()), few)
     if distance.max() <= surface:
         return position
     return np.asarray(middle + away * (surface / np.maximum(distance, surface))[:, None])
@@ -118,8 +117,8 @@ def _is_dense(position: FloatArray, few: float, gap: float) -> bool:
     return all(bool(np.diff(end).max() <= gap) for end in ends)
 
 
-def _ends(position: FloatArray, few: float) -> tuple[FloatArray, FloatArray]:
-    """Return the highest coordinates along each axis, rising, and the lowest, falling: (m, k)."""
+def _ends(position: FloatArray, few: float) -> FloatArray:
+    """Return the highest coordinates along each axis, and minus the lowest, rising: (m, 2 k)."""
     count = min(int(2.0 * few) + 1, len(position))
     stride = math.isqrt(len(position) // (6 * count))  # of a sample: what is sorted is then least
     along = np.ascontiguousarray(position.T)
@@ -130,7 +129,7 @@ def _ends(position: FloatArray, few: float) -> tuple[FloatArray, FloatArray]:
         outer = ((along <= low) | (along >= high)).any(axis=0)
         along = along.take(np.flatnonzero(outer), axis=1)
     ordered = np.sort(along, axis=1).T
-    return ordered[-count:], ordered[count - 1 :: -1]
+    return np.concatenate([ordered[-count:], -ordered[count - 1 :: -1]], axis=1)
 
 
 def _outermost(last: FloatArray, gap: float, few: float) -> float:

@@ -93,14 +93,11 @@ class Lineage:
         - ``row``, (n,): where the cells after or their mothers were before; absent: searched for
         """
         row = rows_before(before, after) if row is None else row
-        new, there = np.flatnonzero(before.id.take(row) != after.id), np.zeros(len(before), bool)
-        there[row] = True
-        there[row[new]] = False  # mothers
-        gone = np.flatnonzero(~there)
-        parent, ids = after.parent[new], before.id[gone]
-        born = self._with("births", (after.id[new], parent, after.kind[new], time))
-        cause = np.where(rows_by_id(parent, ids) < 0, before.state[gone], _DIVIDED)
-        return born._with("ends", (ids, time, cause))
+        new, gone = (before.id.take(row) != after.id).nonzero()[0], np.ones(len(before), bool)
+        mothers, cause = row[new], before.state.copy()
+        gone[row], gone[mothers], cause[mothers] = False, True, _DIVIDED
+        born = self._with("births", (after.id[new], after.parent[new], after.kind[new], time))
+        return born._with("ends", (before.id[gone], time, cause[gone]))
 
     def retyped(self, ids: IntArray, kinds: NDArray[np.int16]) -> Lineage:
         """Return it with another type of cells of which births have been noted."""

@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from functools import cache
 from typing import Any, Final, TypeVar, final
 
 from multicell.errors import SceneError
@@ -121,6 +122,11 @@ class Tables(Mapping[str, V]):
 
 def specs(part: Any) -> dict[str, Parameter]:
     """Return the declaration of every field of a part (its class or an instance) by name."""
+    return _specs(part if isinstance(part, type) else type(part))
+
+
+@cache
+def _specs(part: type[Any]) -> dict[str, Parameter]:
     return {spec.name: spec.metadata["parameter"] for spec in fields(part)}
 
 

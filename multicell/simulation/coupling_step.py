@@ -430,9 +430,11 @@ def _settled(attempt: tuple[Any, ...], again: bool) -> tuple[_Tried, Any, int, i
     fields, dt = run.field_system, timeline.time - state.timeline.time
     trial = cast("Callable[..., _Tried]", partial(_attempt, *attempt))
     tried, until, moved = trial(), cast(Any, 1.0), 0
+    if not again:
+        return tried, until, 0, tried.unsettled
     died = np.count_nonzero(tried.decided.died)
     alone: Mapping[str, FloatArray] = {}
-    for number in range(_MOST_PASSES + 1 if again else 0):
+    for number in range(_MOST_PASSES + 1):
         lived = until
         if np.ndim(until) or np.count_nonzero(tried.decided.died):
             lived = np.where(tried.decided.died, 1.0 - tried.decided.cells.age / dt, 1.0)

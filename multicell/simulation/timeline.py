@@ -77,12 +77,10 @@ class PhaseTimer:
         self.wall, self.name = wall, name
 
     def __enter__(self) -> None:
-        self.begin, self.compiled = clock.perf_counter(), COMPILATION.seconds
+        self.lap = Laps(self.wall)
 
     def __exit__(self, *_: object) -> None:
-        compiled = COMPILATION.seconds - self.compiled
-        self.wall["compile"] += compiled
-        self.wall[self.name] += clock.perf_counter() - self.begin - compiled
+        self.lap(self.name)
 
 
 @final

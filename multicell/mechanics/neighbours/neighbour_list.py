@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import final
 
 import numpy as np
@@ -74,7 +75,7 @@ class NeighbourList:
         self.reference, self.margin = np.empty((n, 3)), np.empty(n)
         self.reference.fill(np.nan)
         self.margin.fill(least)
-        if newborn is not None and np.count_nonzero(newborn) * FEW <= n:
+        if newborn is not None and 0 < np.count_nonzero(newborn) * FEW <= n:
             self.margin[newborn] *= WIDEST
         self.pairs: PairList | None = None
         self._room, self._period = room, period
@@ -145,7 +146,7 @@ class NeighbourList:
 
     def adopt(self, arrays: ListArrays) -> None:
         """Take the list that :func:`.updating.update_list` has left, in the same form."""
-        lost = np.isnan(self.reference[0, 0])
+        lost = math.isnan(self.reference.item(0))
         self.pairs = None if lost else PairList(*arrays, self.chunk, len(self))
 
     def release(self, n: int) -> Room:

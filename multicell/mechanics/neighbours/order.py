@@ -10,6 +10,7 @@ from multicell.compiling.threads import Team
 from multicell.mechanics.neighbours.pair_list import OffsetArray
 from multicell.vectors import corners
 
+_AXES = np.arange(3, dtype=np.uint64)
 _PART = 20_000  # least number of cells for each thread that sorts some
 _SAMPLE = 2000  # keys from which the shares of the threads follow
 
@@ -30,7 +31,7 @@ def spatial_order(position: FloatArray, width: float, threads: int = 1) -> Offse
 
     def mark(begin: int, end: int) -> None:
         box = ((0.5 * position[begin:end] - 0.5 * low) * (2.0 / width)).astype(np.uint64)
-        x, y, z = (_spread(box[:, axis]) << np.uint64(axis) for axis in range(3))
+        x, y, z = (_spread(box) << _AXES).T
         key[begin:end] = x | y | z
 
     with Team(max(1, min(threads, len(key) // _PART))) as team:

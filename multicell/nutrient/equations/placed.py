@@ -208,7 +208,7 @@ class PlacedSubstance:
         if amount.shape != (len(position),):
             raise SceneError(path, f"has shape {amount.shape}, expected ({len(position)},)")
         # not so of what is no number either
-        if not (amount.min(initial=0.0) >= 0.0 and amount.max(initial=0.0) < np.inf):
+        if np.count_nonzero((amount >= 0.0) & (amount < np.inf)) < len(amount):
             raise SceneError(path, "of some cell is negative or not finite")
         try:
             return self.layout.scatter(position, amount, radius)
