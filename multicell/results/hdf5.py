@@ -141,8 +141,6 @@ def write_hdf5(
     frames: Iterable[tuple[Arrays, int, Arrays]],
     history: Mapping[str, NDArray[np.float64]],
     absorbed: str,
-    *,
-    synced: bool = True,
 ) -> None:
     """Write a file in the place of ``path``; until it has been read back the old one stays.
 
@@ -150,7 +148,6 @@ def write_hdf5(
     - ``frames``: arrays, checksum and new rows of the lineage of each frame, one after another
     - ``history``, column -> (m,) float64
     - ``absorbed``: identity of the journal that is part of the file now: 32 letters
-    - ``synced``: as of :func:`multicell.results.folder.replace_by_name`
     """
     identity, digests = uuid.uuid4().hex, []
     read_back: list[File] = []
@@ -166,11 +163,32 @@ def write_hdf5(
             raise _damage(part, "it is not what was written")
         read_back.append(written)
 
-    place = whole_file(path, check, synced=synced)
-    with place as sink, h5py.File(sink, "w", libver=_LIBVER) as target:
-        _describe(target, identity=np.bytes_(identity), absorbed=np.bytes_(absorbed))
-        _fill(target, scene, _Log(target, nutrients, sink), noted(), history)
+    with whole_file(path, check) as sink:
+        _write(sink, identity, scene, nutrients, noted(), history, absorbed)
     _note_read_back(path, read_back[0])
+
+
+def image(*content: Any) -> bytes:
+    """Return what :func:`write_hdf5` writes to a file, which then is as good as these bytes."""
+    file = io.BytesIO()
+    sink = Sink(file)
+    _write(sink, uuid.uuid4().hex, *content)
+    sink.finish()
+    return file.getvalue()
+
+
+def _write(
+    sink: Sink,
+    identity: str,
+    scene: str,
+    nutrients: Sequence[str],
+    frames: Iterable[tuple[Arrays, int, Arrays]],
+    history: Mapping[str, NDArray[np.float64]],
+    absorbed: str,
+) -> None:
+    with h5py.File(sink, "w", libver=_LIBVER) as target:
+        _describe(target, identity=np.bytes_(identity), absorbed=np.bytes_(absorbed))
+        _fill(target, scene, _Log(target, nutrients, sink), frames, history)
 
 
 _READ_BACK: dict[tuple[Any, ...], File] = {}  # the small file that was written last
@@ -214,15 +232,12 @@ def opened(path: Path) -> File:
 
 
 @contextmanager
-def whole_file(
-    path: Path, check: Check, beside: str = "part", *, synced: bool = True
-) -> Iterator[Sink]:
+def whole_file(path: Path, check: Check, beside: str = "part") -> Iterator[Sink]:
     """Give what HDF5 may write a file to that takes the place of ``path`` when it is complete.
 
-    - ``check``, ``beside``, ``synced``: as of
-      :func:`multicell.results.folder.replace_by_name`
+    - ``check``, ``beside``: as of :func:`multicell.results.folder.replace_by_name`
     """
-    with replace_file(path, check, beside, synced=synced) as file:
+    with replace_file(path, check, beside) as file:
         sink = Sink(file)
         try:
             yield sink

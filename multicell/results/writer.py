@@ -56,6 +56,7 @@ import numpy as np
 from multicell.errors import OutputError
 from multicell.host.interrupts import UNCUT
 from multicell.results import hdf5
+from multicell.results.documents import table_bytes
 from multicell.results.folder import (
     LIVE,
     PASSING,
@@ -72,6 +73,7 @@ from multicell.results.folder import (
     sync_folder,
     versions,
     write_copies,
+    write_files,
     write_text,
 )
 from multicell.results.frame import Frame
@@ -112,6 +114,7 @@ class Store:
         self._held = held
         self._columns: tuple[str, ...] = ()
         self._pending: list[list[float]] = []
+        self._image = b""  # of ``frames.h5`` of a brief run
         self._created = self._written = clock.monotonic()
         # what is complete: the only truth about what comes next
         self._frames = self._rows = 0
@@ -128,7 +131,8 @@ class Store:
         - ``overwrite``: remove the files of an earlier run first; one of the same scene that has
           no frame yet is begun anew in any case
         - ``brief``: write scene and journal only if the run takes longer than a second; before
-          that a kill leaves an empty folder, whose name may be lost with the power
+          that a kill leaves an empty folder. Until the caller has the folder and the one above on
+          the disk (:func:`multicell.results.folder.sync_folder`), names are lost with the power
         """
         folder = Path(folder)
         make_folder(folder, overwrite=overwrite or _is_begun(folder, scene), synced=not brief)
@@ -149,14 +153,14 @@ class Store:
             store._held = stack.pop_all()
             return store
 
-    def _begin(self, *, late: bool = True) -> None:
+    def _begin(self, *, late: bool = True) -> Journal:
         """Write the scene, and a journal with the records so far.
 
         - ``late``: whether the folder was made without waiting for the disk
         """
         if late:
             sync_folder(self.folder.parent)
-        write_text(self.folder / "scene.toml", self.scene, synced=False)
+        write_files(self.folder, {"scene.toml": self.scene.encode()}, synced=False)
         (header, _), *records = self._early
         journal = Journal.create(self.folder, header)
         self._held.callback(journal.close)
@@ -165,6 +169,7 @@ class Store:
             journal.sync()
         self._journal = journal
         self._early.clear()
+        return journal
 
     @classmethod
     def resume(cls, contents: Contents, place: int, rows: int, scene: Scene) -> Self:
@@ -270,19 +275,29 @@ class Store:
             self._write()
 
     def settle(self) -> None:
-        """Make one file ``frames.h5`` of all that there is.
+        """Make one file ``frames.h5`` of all that there is; of a brief run in memory.
 
         The journal goes when that file has been read back.
         """
         self.flush()
         if self._journal is None:
+            self._image = hdf5.image(*self._results())
+        else:
+            self._absorb(self._journal)
+
+    def conclude(self, summary: Mapping[str, Any]) -> None:
+        """Write the summary of what has been settled, and with it all of a brief run."""
+        files = {"summary.json": table_bytes(summary)}
+        if self._journal is None:
+            whole = {"scene.toml": self.scene.encode(), hdf5.FRAMES_FILE: self._image, **files}
             with suppress(OutputError):  # said where the journal meets it, too
-                write_text(self.folder / "scene.toml", self.scene, synced=False)
-                # there is no journal to remove: names come with that of the summary, in their order
-                hdf5.write_hdf5(self.folder / hdf5.FRAMES_FILE, *self._results(), synced=False)
+                write_files(self.folder, whole, synced=False)
                 return
-            self._begin()
-        assert self._journal is not None
+            self._absorb(self._begin())
+        write_files(self.folder, files)
+
+    def _absorb(self, journal: Journal) -> None:
+        """Write ``frames.h5``, and remove the journal."""
         contents = Contents(self.folder)
         contents.whole()
         frames = ((entry.arrays(), entry.digest, entry.log()) for entry in contents.places)
@@ -294,7 +309,7 @@ class Store:
                 f"{error}. All {len(contents.places)} frames of the run are kept in {JOURNAL} and "
                 "can be read; 'multicell resume' makes one file of them when there is room"
             ) from error
-        self._journal.close()
+        journal.close()
         with file_errors("remove", self.folder / JOURNAL):
             (self.folder / JOURNAL).unlink()  # one that comes back by a loss of power is known
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import time as clock
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -103,14 +103,17 @@ def run_study(
     with file_errors("use the folder", folder):
         (folder / "runs").mkdir(parents=True, exist_ok=True)
     outcomes: dict[str, RunOutcome] = {}
-    synced = clock.monotonic()
+    unsynced, synced = [], clock.monotonic()
 
     def report(outcome: RunOutcome) -> None:
         nonlocal synced
         outcomes[outcome.name] = outcome
-        if not outcome.reused and clock.monotonic() - synced > _SYNC:
-            sync_folder(folder / "runs")  # a brief run leaves that to us
-            synced = clock.monotonic()
+        if not outcome.reused:
+            unsynced.append(outcome.name)
+            if clock.monotonic() - synced > _SYNC:
+                _sync(folder, unsynced)
+                unsynced.clear()
+                synced = clock.monotonic()
         if progress is not None:
             progress(outcome)
 
@@ -142,8 +145,15 @@ def run_study(
             else:
                 _do_there(tasks, folder, most, scheduler, report)
         finally:
-            sync_folder(folder / "runs")
+            _sync(folder, [*unsynced, *({work.name for work in tasks} - outcomes.keys())])
     return [outcomes[run.name] for run in runs]
+
+
+def _sync(folder: Path, names: Iterable[str]) -> None:
+    """Have the names in the folders of runs on the disk too; brief runs leave that to us."""
+    for name in names:
+        sync_folder(run_folder(folder, name))
+    sync_folder(folder / "runs")
 
 
 def _do_there(

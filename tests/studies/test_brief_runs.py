@@ -2,6 +2,7 @@
 
 import errno
 import os
+from pathlib import Path
 
 import pytest
 from stored import assert_same_bits
@@ -13,6 +14,7 @@ from multicell.results import folder as folders
 from multicell.results import hdf5, writer
 from multicell.results.journal import Journal
 from multicell.results.observable import OWN_OBSERVABLES
+from multicell.studies import engine
 from multicell.studies.engine import run_study
 from multicell.studies.runs import run_digest
 from multicell.studies.status import run_folder
@@ -67,14 +69,17 @@ def test_a_kill_in_the_first_second_leaves_nothing_to_continue(alone, tmp_path, 
 def test_frames_that_cannot_be_written_at_the_end_are_kept_in_a_journal(
     alone, tmp_path, monkeypatch
 ):
-    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    full, write_files = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)), writer.write_files
 
-    def refused(*given, **how):
-        raise OutputError("cannot write frames.h5") from full
+    def refused(folder, files, **how):
+        if "frames.h5" in files:
+            raise OutputError("cannot write frames.h5") from full
+        write_files(folder, files, **how)
 
     run = run_of(SCENE)
     with monkeypatch.context() as patch:
-        patch.setattr(hdf5, "write_hdf5", refused)
+        patch.setattr(writer, "write_files", refused)
+        patch.setattr(hdf5, "write_hdf5", lambda path, *_: refused(path.parent, [path.name]))
         [outcome] = run_study([run], tmp_path, cores=1)
     assert (outcome.state, outcome.kind) == ("failed", "machine")
     place = run_folder(tmp_path, run.name)
@@ -86,17 +91,18 @@ def test_frames_that_cannot_be_written_at_the_end_are_kept_in_a_journal(
 
 @pytest.mark.parametrize("how", ["flipped", "cut"])
 def test_a_file_that_does_not_read_back_counts_as_nothing(how, tmp_path, monkeypatch):
-    sync, hurt = folders.sync_file, []
+    sync, hurt = os.fsync, []
 
-    def hurting(path):
+    def hurting(descriptor):
+        path = Path(os.readlink(f"/proc/self/fd/{descriptor}"))
         if path.name == "frames.h5.part":
             data = bytearray(path.read_bytes())
             data[data.index(b"[growth]")] ^= 4  # in a data set that is part of its header
             path.write_bytes(data if how == "flipped" else data[:-50])
             hurt.append(path)
-        sync(path)
+        sync(descriptor)
 
-    monkeypatch.setattr(folders, "sync_file", hurting)
+    monkeypatch.setattr(os, "fsync", hurting)
     run = run_of(SCENE)
     [outcome] = run_study([run], tmp_path, cores=1)
     assert outcome.state == "failed"
@@ -126,6 +132,20 @@ def test_names_of_folders_are_on_the_disk_at_the_end_of_a_study(tmp_path, monkey
     run_study([run], tmp_path, cores=1)
     parts = ["scene.toml.part", "frames.h5.part", "summary.json.part"]
     assert done == [*parts, run.name, "runs"]
+
+
+def test_names_are_on_the_disk_each_second_of_a_study(tmp_path, monkeypatch):
+    done, sync_folder = [], engine.sync_folder
+    runs = [run_of(SCENE.with_changes({"seed": seed})) for seed in (1, 2)]
+
+    def noted(place):
+        done.append(place.name)
+        sync_folder(place)
+
+    monkeypatch.setattr(engine, "sync_folder", noted)
+    monkeypatch.setattr(engine, "_SYNC", 0.0)
+    run_study(runs, tmp_path, cores=1, progress=lambda outcome: done.append("told"))
+    assert done == [*(part for run in runs for part in (run.name, "runs", "told")), "runs"]
 
 
 @pytest.mark.parametrize("cores", [1, 2])
