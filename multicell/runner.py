@@ -23,7 +23,7 @@ from multicell.precompile import Precompilation
 from multicell.report.bar import progress_callback
 from multicell.report.result import Result, history_columns, load_result, recorded_scene
 from multicell.report.wording import time_unit
-from multicell.results.documents import read_document
+from multicell.results.documents import read_document, write_table
 from multicell.results.folder import lock_folder
 from multicell.results.frame import Frame
 from multicell.results.measures import check_observables
@@ -370,7 +370,8 @@ class Recorder:
             self._summary["interrupted"] = True
         if self._store is not None:
             self._summary["scene_digest"] = scene_mark(self._store.scene)
-            self._store.conclude(self._summary)
+            path, synced = self._store.folder / "summary.json", not self._store.is_brief
+            write_table(path, self._summary, synced=synced)
 
     def _account(self, simulation: Simulation) -> dict[str, float]:
         """Return the wall time from the start on by phases, which add up to the total, s."""

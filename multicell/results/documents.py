@@ -16,7 +16,7 @@ from typing import Any, Final, final
 from multicell.errors import OutputError
 from multicell.host.files import read_regular
 from multicell.host.interrupts import UNCUT
-from multicell.results.folder import file_errors, json_text, plain_json, write_bytes
+from multicell.results.folder import file_errors, json_text, plain_json, write_text
 from multicell.results.records import parse_table
 
 _CHECKSUM: Final = "checksum"
@@ -29,15 +29,11 @@ def _checksum(table: Mapping[str, Any]) -> str:
     return f"{zlib.crc32(text.encode()):08x}"
 
 
-def table_bytes(table: Mapping[str, Any]) -> bytes:
-    """Return a table with its checksum as the content of a file."""
+def write_table(path: Path, table: Mapping[str, Any], *, synced: bool = True) -> None:
+    """Write a table with its checksum, as :func:`multicell.results.folder.write_bytes` does."""
     plain = plain_json(table)
-    return (json_text({**plain, _CHECKSUM: _checksum(plain)}) + "\n").encode()
-
-
-def write_table(path: Path, table: Mapping[str, Any]) -> None:
-    """Write a table with its checksum, so that the file is either the old one or complete."""
-    write_bytes(path, table_bytes(table))
+    text = json_text({**plain, _CHECKSUM: _checksum(plain)})
+    write_text(path, text + "\n", synced=synced)
 
 
 def read_document(path: Path) -> dict[str, Any] | None:

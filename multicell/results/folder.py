@@ -231,7 +231,9 @@ Check = Callable[[Path], object]  # reads a file back; raises OutputError where 
 
 
 @contextmanager
-def replace_by_name(path: Path, check: Check, beside: str = "part") -> Iterator[Path]:
+def replace_by_name(
+    path: Path, check: Check, beside: str = "part", *, synced: bool = True
+) -> Iterator[Path]:
     """Give another name for what becomes ``path`` when it is complete, on disk and checked.
 
     No signal cuts the block: all of them, however often they come, wait for its end. Whatever
@@ -240,6 +242,7 @@ def replace_by_name(path: Path, check: Check, beside: str = "part") -> Iterator[
 
     - ``check``: reads the new file back, with the old one still in its place
     - ``beside``: ending of the other name; one of its own where several processes may write
+    - ``synced``: whether the name is on the disk, too; else the next one in this folder takes it
     """
     part = path.with_name(f"{path.name}.{beside}")
     with UNCUT, file_errors("write", path), ExitStack() as stack:
@@ -250,15 +253,17 @@ def replace_by_name(path: Path, check: Check, beside: str = "part") -> Iterator[
         yield part
         sync_file(part)
         check(part)
-        put_in_place(part, path)
+        put_in_place(part, path) if synced else part.replace(path)
         stack.pop_all()
 
 
 @contextmanager
-def replace_file(path: Path, check: Check, beside: str = "part") -> Iterator[IO[bytes]]:
+def replace_file(
+    path: Path, check: Check, beside: str = "part", *, synced: bool = True
+) -> Iterator[IO[bytes]]:
     """Write a file as :func:`replace_by_name` does, by bytes that can be read and sought."""
     with (
-        replace_by_name(path, check, beside) as part,
+        replace_by_name(path, check, beside, synced=synced) as part,
         os.fdopen(new_file(part), "w+b") as file,
     ):
         yield file
@@ -293,46 +298,20 @@ def sync_folder(folder: Path) -> None:
             os.close(descriptor)
 
 
-def write_files(folder: Path, files: Mapping[str, bytes], *, synced: bool = True) -> None:
-    """Write files, name -> content, as :func:`replace_by_name` does; all of them or none.
-
-    Their names come in this order, after the content of all: whoever finds the last has the others.
-
-    - ``synced``: whether the names are on the disk, too; else the next one in this folder takes them
-    """
-    path = folder
-    with UNCUT, ExitStack() as stack:
-        for name, data in files.items():
-            path, part = folder / name, folder / f"{name}.part"
-            with file_errors("write", path):
-                if path.is_dir():
-                    raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
-                descriptor = new_file(part)
-                stack.callback(part.unlink, missing_ok=True)
-                with os.fdopen(descriptor, "w+b") as file:
-                    file.write(data)
-                    file.flush()
-                    os.fsync(descriptor)
-                    file.seek(0)
-                    if file.read() != data:
-                        problem = "it does not read back as it was written"
-                        raise OutputError(f"cannot write '{path}': {problem}")
-        with file_errors("write", path):
-            for name in files:
-                (folder / f"{name}.part").replace(folder / name)
-            if synced:
-                sync_folder(folder)
-        stack.pop_all()
-
-
-def write_bytes(path: Path, data: bytes) -> None:
+def write_bytes(path: Path, data: bytes, *, synced: bool = True) -> None:
     """Write a file so that it is either the old one or complete; see :func:`replace_by_name`."""
-    write_files(path.parent, {path.name: data})
+
+    def check(part: Path) -> None:
+        if part.read_bytes() != data:
+            raise OutputError(f"cannot write '{path}': it does not read back as it was written")
+
+    with replace_file(path, check, synced=synced) as file:
+        file.write(data)
 
 
-def write_text(path: Path, text: str) -> None:
+def write_text(path: Path, text: str, *, synced: bool = True) -> None:
     """Write a text file as :func:`write_bytes` does."""
-    write_bytes(path, text.encode("utf-8"))
+    write_bytes(path, text.encode("utf-8"), synced=synced)
 
 
 def plain_json(value: Any) -> Any:

@@ -134,61 +134,54 @@ _LEVEL: Final = 4  # of gzip; 1 would take 15 % less time and 1 % more room
 _COMPACT: Final = 1024  # bytes of a data set that are part of its header
 
 
-def write_hdf5(
-    path: Path,
-    scene: str,
-    nutrients: Sequence[str],
-    frames: Iterable[tuple[Arrays, int, Arrays]],
-    history: Mapping[str, NDArray[np.float64]],
-    absorbed: str,
-) -> None:
+def write_hdf5(path: Path, *content: Any) -> None:
     """Write a file in the place of ``path``; until it has been read back the old one stays.
 
-    - ``scene``: text of ``scene.toml``
-    - ``frames``: arrays, checksum and new rows of the lineage of each frame, one after another
-    - ``history``, column -> (m,) float64
-    - ``absorbed``: identity of the journal that is part of the file now: 32 letters
+    - ``content``: as of :func:`_write`
     """
-    identity, digests = uuid.uuid4().hex, []
     read_back: list[File] = []
-
-    def noted() -> Iterator[tuple[Arrays, int, Arrays]]:
-        for frame in frames:
-            digests.append(frame[1])
-            yield frame
 
     def check(part: Path) -> None:
         written = File(part, own=True)
-        if written.identity != identity or written.digests.tolist() != digests:
+        if (written.identity, written.digests.tolist()) != made:
             raise _damage(part, "it is not what was written")
         read_back.append(written)
 
     with whole_file(path, check) as sink:
-        _write(sink, identity, scene, nutrients, noted(), history, absorbed)
+        made = _write(sink, *content)
     _note_read_back(path, read_back[0])
 
 
 def image(*content: Any) -> bytes:
-    """Return what :func:`write_hdf5` writes to a file, which then is as good as these bytes."""
+    """Return what :func:`write_hdf5` writes to a file."""
     file = io.BytesIO()
     sink = Sink(file)
-    _write(sink, uuid.uuid4().hex, *content)
+    _write(sink, *content)
     sink.finish()
     return file.getvalue()
 
 
 def _write(
     sink: Sink,
-    identity: str,
     scene: str,
     nutrients: Sequence[str],
     frames: Iterable[tuple[Arrays, int, Arrays]],
     history: Mapping[str, NDArray[np.float64]],
     absorbed: str,
-) -> None:
+) -> tuple[str, list[int]]:
+    """Write a file; return its identity, and the checksums of its frames.
+
+    - ``scene``: text of ``scene.toml``
+    - ``frames``: arrays, checksum and new rows of the lineage of each frame, one after another
+    - ``history``, column -> (m,) float64
+    - ``absorbed``: identity of the journal that is part of the file now: 32 letters
+    """
+    identity = uuid.uuid4().hex
     with h5py.File(sink, "w", libver=_LIBVER) as target:
+        log = _Log(target, nutrients, sink)
         _describe(target, identity=np.bytes_(identity), absorbed=np.bytes_(absorbed))
-        _fill(target, scene, _Log(target, nutrients, sink), frames, history)
+        _fill(target, scene, log, frames, history)
+    return identity, log.digests
 
 
 _READ_BACK: dict[tuple[Any, ...], File] = {}  # the small file that was written last
@@ -276,7 +269,7 @@ def _fill(
         target,
         format=np.int64(FRAMES_FORMAT),
         multicell=np.array(package_version(), _TEXT),
-        frames=np.int64(log.count),
+        frames=np.int64(len(log.digests)),
         digest=np.uint32(array_digest({"scene": text, **shared})),
     )
 
@@ -372,7 +365,7 @@ class _Log:
         self._lengths: dict[str, int] = {}
         self._made: set[str] = set()
         self._size = 0
-        self.count = 0
+        self.digests: list[int] = []  # of the frames so far
         self.shared: dict[str, list[NDArray[Any]]] = {path: [] for path in _shared(sets)}
 
     def add(self, arrays: Arrays, check: int, log: Arrays) -> None:
@@ -396,7 +389,7 @@ class _Log:
         for pool, length in self._lengths.items():
             self._ends[pool] += length
             self._put(pool, np.array([self._ends[pool]], "<i8"))
-        self.count += 1
+        self.digests.append(check)
         if self._size > _BATCH:
             self.flush()
 

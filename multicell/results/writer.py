@@ -56,7 +56,6 @@ import numpy as np
 from multicell.errors import OutputError
 from multicell.host.interrupts import UNCUT
 from multicell.results import hdf5
-from multicell.results.documents import table_bytes
 from multicell.results.folder import (
     LIVE,
     PASSING,
@@ -72,8 +71,8 @@ from multicell.results.folder import (
     remove,
     sync_folder,
     versions,
+    write_bytes,
     write_copies,
-    write_files,
     write_text,
 )
 from multicell.results.frame import Frame
@@ -114,7 +113,6 @@ class Store:
         self._held = held
         self._columns: tuple[str, ...] = ()
         self._pending: list[list[float]] = []
-        self._image = b""  # of ``frames.h5`` of a brief run
         self._created = self._written = clock.monotonic()
         # what is complete: the only truth about what comes next
         self._frames = self._rows = 0
@@ -131,8 +129,8 @@ class Store:
         - ``overwrite``: remove the files of an earlier run first; one of the same scene that has
           no frame yet is begun anew in any case
         - ``brief``: write scene and journal only if the run takes longer than a second; before
-          that a kill leaves an empty folder. Until the caller has the folder and the one above on
-          the disk (:func:`multicell.results.folder.sync_folder`), names are lost with the power
+          that a kill leaves an empty folder. Until the caller has this and the one above on the
+          disk (:func:`multicell.results.folder.sync_folder`), names may be lost with the power
         """
         folder = Path(folder)
         make_folder(folder, overwrite=overwrite or _is_begun(folder, scene), synced=not brief)
@@ -153,14 +151,14 @@ class Store:
             store._held = stack.pop_all()
             return store
 
-    def _begin(self, *, late: bool = True) -> Journal:
+    def _begin(self, *, late: bool = True) -> None:
         """Write the scene, and a journal with the records so far.
 
         - ``late``: whether the folder was made without waiting for the disk
         """
         if late:
             sync_folder(self.folder.parent)
-        write_files(self.folder, {"scene.toml": self.scene.encode()}, synced=False)
+        write_text(self.folder / "scene.toml", self.scene, synced=False)
         (header, _), *records = self._early
         journal = Journal.create(self.folder, header)
         self._held.callback(journal.close)
@@ -169,7 +167,6 @@ class Store:
             journal.sync()
         self._journal = journal
         self._early.clear()
-        return journal
 
     @classmethod
     def resume(cls, contents: Contents, place: int, rows: int, scene: Scene) -> Self:
@@ -220,6 +217,11 @@ class Store:
         ]
         for entry in contents.places[: place + 1]:
             self._add(entry.arrays(), entry.log())
+
+    @property
+    def is_brief(self) -> bool:
+        """Whether there is no journal, and the caller has names on the disk."""
+        return self._journal is None
 
     def append(self, frame: Frame, lineage: Lineage | None = None) -> None:
         """Write a frame.
@@ -275,29 +277,20 @@ class Store:
             self._write()
 
     def settle(self) -> None:
-        """Make one file ``frames.h5`` of all that there is; of a brief run in memory.
+        """Make one file ``frames.h5`` of all that there is.
 
         The journal goes when that file has been read back.
         """
         self.flush()
         if self._journal is None:
-            self._image = hdf5.image(*self._results())
-        else:
-            self._absorb(self._journal)
-
-    def conclude(self, summary: Mapping[str, Any]) -> None:
-        """Write the summary of what has been settled, and with it all of a brief run."""
-        files = {"summary.json": table_bytes(summary)}
-        if self._journal is None:
-            whole = {"scene.toml": self.scene.encode(), hdf5.FRAMES_FILE: self._image, **files}
             with suppress(OutputError):  # said where the journal meets it, too
-                write_files(self.folder, whole, synced=False)
+                write_text(self.folder / "scene.toml", self.scene, synced=False)
+                # there is no journal to remove; where a name is on the disk, those before it are
+                image = hdf5.image(*self._results())
+                write_bytes(self.folder / hdf5.FRAMES_FILE, image, synced=False)
                 return
-            self._absorb(self._begin())
-        write_files(self.folder, files)
-
-    def _absorb(self, journal: Journal) -> None:
-        """Write ``frames.h5``, and remove the journal."""
+            self._begin()
+        assert self._journal is not None
         contents = Contents(self.folder)
         contents.whole()
         frames = ((entry.arrays(), entry.digest, entry.log()) for entry in contents.places)
@@ -309,7 +302,7 @@ class Store:
                 f"{error}. All {len(contents.places)} frames of the run are kept in {JOURNAL} and "
                 "can be read; 'multicell resume' makes one file of them when there is room"
             ) from error
-        journal.close()
+        self._journal.close()
         with file_errors("remove", self.folder / JOURNAL):
             (self.folder / JOURNAL).unlink()  # one that comes back by a loss of power is known
 

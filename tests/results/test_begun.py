@@ -10,7 +10,6 @@ from stored import assert_same_bits
 import multicell as mc
 from multicell.errors import OutputError
 from multicell.results import folder as folders
-from multicell.results import writer
 from multicell.results.folder import is_begun
 from multicell.results.journal import Journal
 from multicell.results.writer import Store
@@ -22,8 +21,7 @@ FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 def full_at(monkeypatch, call):
     """Let the disk be full at one of the first calls that write."""
     left = [call]
-    ways = [(folders, "put_in_place"), (Journal, "append"), (Store, "append")]
-    for place, name in (*ways, (folders, "write_files"), (writer, "write_files")):
+    for place, name in ((folders, "put_in_place"), (Journal, "append"), (Store, "append")):
         usual = getattr(place, name)
 
         def writes(*given, usual=usual, **more):

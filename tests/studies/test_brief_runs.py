@@ -2,7 +2,6 @@
 
 import errno
 import os
-from pathlib import Path
 
 import pytest
 from stored import assert_same_bits
@@ -69,17 +68,15 @@ def test_a_kill_in_the_first_second_leaves_nothing_to_continue(alone, tmp_path, 
 def test_frames_that_cannot_be_written_at_the_end_are_kept_in_a_journal(
     alone, tmp_path, monkeypatch
 ):
-    full, write_files = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)), writer.write_files
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    def refused(folder, files, **how):
-        if "frames.h5" in files:
-            raise OutputError("cannot write frames.h5") from full
-        write_files(folder, files, **how)
+    def refused(*given, **how):
+        raise OutputError("cannot write frames.h5") from full
 
     run = run_of(SCENE)
     with monkeypatch.context() as patch:
-        patch.setattr(writer, "write_files", refused)
-        patch.setattr(hdf5, "write_hdf5", lambda path, *_: refused(path.parent, [path.name]))
+        patch.setattr(writer, "write_bytes", refused)
+        patch.setattr(hdf5, "write_hdf5", refused)
         [outcome] = run_study([run], tmp_path, cores=1)
     assert (outcome.state, outcome.kind) == ("failed", "machine")
     place = run_folder(tmp_path, run.name)
@@ -91,18 +88,17 @@ def test_frames_that_cannot_be_written_at_the_end_are_kept_in_a_journal(
 
 @pytest.mark.parametrize("how", ["flipped", "cut"])
 def test_a_file_that_does_not_read_back_counts_as_nothing(how, tmp_path, monkeypatch):
-    sync, hurt = os.fsync, []
+    sync, hurt = folders.sync_file, []
 
-    def hurting(descriptor):
-        path = Path(os.readlink(f"/proc/self/fd/{descriptor}"))
+    def hurting(path):
         if path.name == "frames.h5.part":
             data = bytearray(path.read_bytes())
             data[data.index(b"[growth]")] ^= 4  # in a data set that is part of its header
             path.write_bytes(data if how == "flipped" else data[:-50])
             hurt.append(path)
-        sync(descriptor)
+        sync(path)
 
-    monkeypatch.setattr(os, "fsync", hurting)
+    monkeypatch.setattr(folders, "sync_file", hurting)
     run = run_of(SCENE)
     [outcome] = run_study([run], tmp_path, cores=1)
     assert outcome.state == "failed"
@@ -128,6 +124,8 @@ def test_names_of_folders_are_on_the_disk_at_the_end_of_a_study(tmp_path, monkey
         fsync(descriptor)
 
     monkeypatch.setattr(os, "fsync", noted)
+    monkeypatch.setattr(writer, "_HISTORY_EVERY", 1e9)
+    monkeypatch.setattr(engine, "_SYNC", 1e9)
     run = run_of(SCENE)
     run_study([run], tmp_path, cores=1)
     parts = ["scene.toml.part", "frames.h5.part", "summary.json.part"]
@@ -143,6 +141,7 @@ def test_names_are_on_the_disk_each_second_of_a_study(tmp_path, monkeypatch):
         sync_folder(place)
 
     monkeypatch.setattr(engine, "sync_folder", noted)
+    monkeypatch.setattr(writer, "_HISTORY_EVERY", 1e9)
     monkeypatch.setattr(engine, "_SYNC", 0.0)
     run_study(runs, tmp_path, cores=1, progress=lambda outcome: done.append("told"))
     assert done == [*(part for run in runs for part in (run.name, "runs", "told")), "runs"]
