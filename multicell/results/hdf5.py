@@ -161,29 +161,6 @@ def image(*content: Any) -> bytes:
     return file.getvalue()
 
 
-def _write(
-    sink: Sink,
-    scene: str,
-    nutrients: Sequence[str],
-    frames: Iterable[tuple[Arrays, int, Arrays]],
-    history: Mapping[str, NDArray[np.float64]],
-    absorbed: str,
-) -> tuple[str, list[int]]:
-    """Write a file; return its identity, and the checksums of its frames.
-
-    - ``scene``: text of ``scene.toml``
-    - ``frames``: arrays, checksum and new rows of the lineage of each frame, one after another
-    - ``history``, column -> (m,) float64
-    - ``absorbed``: identity of the journal that is part of the file now: 32 letters
-    """
-    identity = uuid.uuid4().hex
-    with h5py.File(sink, "w", libver=_LIBVER) as target:
-        log = _Log(target, nutrients, sink)
-        _describe(target, identity=np.bytes_(identity), absorbed=np.bytes_(absorbed))
-        _fill(target, scene, log, frames, history)
-    return identity, log.digests
-
-
 _READ_BACK: dict[tuple[Any, ...], File] = {}  # the small file that was written last
 _FRAMES: dict[str, tuple[tuple[Any, ...], list[Arrays]]] = {}
 """Identity of that file -> its stamp, and its frames as they were read back."""
@@ -242,36 +219,50 @@ def whole_file(path: Path, check: Check, beside: str = "part") -> Iterator[Sink]
         sink.finish()
 
 
-def _fill(
-    target: Any,
+def _write(
+    sink: Sink,
     scene: str,
-    log: _Log,
+    nutrients: Sequence[str],
     frames: Iterable[tuple[Arrays, int, Arrays]],
     history: Mapping[str, NDArray[np.float64]],
-) -> None:
-    h5py.h5g.create(target.id, b"fields")
-    text = np.frombuffer(scene.encode(), "|u1")
-    _create(target, "scene", of_rows("|u1"), text)
-    for frame in frames:
-        log.add(*frame)
-    log.flush(last=True)
-    names = sorted(history)
-    rows = {f"history/{name}": np.asarray(history[name], "<f8") for name in names}
-    units = {f"history/{name}": of_rows("<f8", known_unit(name)) for name in names}
-    if not fits_table(names):
-        h5py.h5g.create(target.id, b"history")
-    for made in _tables(units, rows, column_places(rows, history=fits_table(names))):
-        _create(target, *made)
-    digest = np.uint32(array_digest({name: history[name] for name in names}))
-    _attach(h5py.h5o.open(target.id, b"history"), "digest", digest)
-    shared = {path: np.concatenate(pieces) for path, pieces in log.shared.items()}
-    _describe(
-        target,
-        format=np.int64(FRAMES_FORMAT),
-        multicell=np.array(package_version(), _TEXT),
-        frames=np.int64(len(log.digests)),
-        digest=np.uint32(array_digest({"scene": text, **shared})),
-    )
+    absorbed: str,
+) -> tuple[str, list[int]]:
+    """Write a file; return its identity, and the checksums of its frames.
+
+    - ``scene``: text of ``scene.toml``
+    - ``frames``: arrays, checksum and new rows of the lineage of each frame, one after another
+    - ``history``, column -> (m,) float64
+    - ``absorbed``: identity of the journal that is part of the file now: 32 letters
+    """
+    identity = uuid.uuid4().hex
+    with h5py.File(sink, "w", libver=_LIBVER) as target:
+        log = _Log(target, nutrients, sink)
+        h5py.h5g.create(target.id, b"fields")
+        text = np.frombuffer(scene.encode(), "|u1")
+        _create(target, "scene", of_rows("|u1"), text)
+        for frame in frames:
+            log.add(*frame)
+        log.flush(last=True)
+        names = sorted(history)
+        rows = {f"history/{name}": np.asarray(history[name], "<f8") for name in names}
+        units = {f"history/{name}": of_rows("<f8", known_unit(name)) for name in names}
+        if not fits_table(names):
+            h5py.h5g.create(target.id, b"history")
+        for made in _tables(units, rows, column_places(rows, history=fits_table(names))):
+            _create(target, *made)
+        digest = np.uint32(array_digest({name: history[name] for name in names}))
+        _attach(h5py.h5o.open(target.id, b"history"), "digest", digest)
+        shared = {path: np.concatenate(pieces) for path, pieces in log.shared.items()}
+        _describe(
+            target,
+            identity=np.bytes_(identity),
+            absorbed=np.bytes_(absorbed),
+            format=np.int64(FRAMES_FORMAT),
+            multicell=np.array(package_version(), _TEXT),
+            frames=np.int64(len(log.digests)),
+            digest=np.uint32(array_digest({"scene": text, **shared})),
+        )
+    return identity, log.digests
 
 
 @lru_cache(maxsize=256)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import time as clock
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -103,7 +103,8 @@ def run_study(
     with file_errors("use the folder", folder):
         (folder / "runs").mkdir(parents=True, exist_ok=True)
     outcomes: dict[str, RunOutcome] = {}
-    unsynced, synced = [], clock.monotonic()
+    unsynced: list[str] = []
+    synced = clock.monotonic()
 
     def report(outcome: RunOutcome) -> None:
         nonlocal synced
@@ -112,7 +113,6 @@ def run_study(
             unsynced.append(outcome.name)
             if clock.monotonic() - synced > _SYNC:
                 _sync(folder, unsynced)
-                unsynced.clear()
                 synced = clock.monotonic()
         if progress is not None:
             progress(outcome)
@@ -145,14 +145,14 @@ def run_study(
             else:
                 _do_there(tasks, folder, most, scheduler, report)
         finally:
-            _sync(folder, [*unsynced, *({work.name for work in tasks} - outcomes.keys())])
+            _sync(folder, unsynced + [run.name for run in ordered if run.name not in outcomes])
     return [outcomes[run.name] for run in runs]
 
 
-def _sync(folder: Path, names: Iterable[str]) -> None:
-    """Have the names in the folders of runs on the disk too; brief runs leave that to us."""
-    for name in names:
-        sync_folder(run_folder(folder, name))
+def _sync(folder: Path, names: list[str]) -> None:
+    """Have the names in folders of runs on the disk, which brief runs leave to us; forget these."""
+    while names:
+        sync_folder(run_folder(folder, names.pop()))
     sync_folder(folder / "runs")
 
 
