@@ -153,7 +153,7 @@ def write_hdf5(path: Path, *content: Any) -> None:
 
 
 def image(*content: Any) -> bytes:
-    """Return what :func:`write_hdf5` writes to a file."""
+    """Return the bytes of a file as :func:`write_hdf5` writes it."""
     file = io.BytesIO()
     sink = Sink(file)
     _write(sink, *content)
