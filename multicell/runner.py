@@ -370,7 +370,8 @@ class Recorder:
             self._summary["interrupted"] = True
         if self._store is not None:
             self._summary["scene_digest"] = scene_mark(self._store.scene)
-            write_table(self._store.folder / "summary.json", self._summary)
+            path, synced = self._store.folder / "summary.json", not self._store.is_brief
+            write_table(path, self._summary, synced=synced)
 
     def _account(self, simulation: Simulation) -> dict[str, float]:
         """Return the wall time from the start on by phases, which add up to the total, s."""

@@ -29,11 +29,11 @@ def _checksum(table: Mapping[str, Any]) -> str:
     return f"{zlib.crc32(text.encode()):08x}"
 
 
-def write_table(path: Path, table: Mapping[str, Any]) -> None:
-    """Write a table with its checksum, so that the file is either the old one or complete."""
+def write_table(path: Path, table: Mapping[str, Any], *, synced: bool = True) -> None:
+    """Write a table with its checksum, as :func:`multicell.results.folder.write_bytes` does."""
     plain = plain_json(table)
     text = json_text({**plain, _CHECKSUM: _checksum(plain)})
-    write_text(path, text + "\n")
+    write_text(path, text + "\n", synced=synced)
 
 
 def read_document(path: Path) -> dict[str, Any] | None:

@@ -315,7 +315,7 @@ def write_text(path: Path, text: str, *, synced: bool = True) -> None:
 
 def plain_json(value: Any) -> Any:
     """Return a value as JSON can hold it; JSON knows no NaN or infinity, they become null."""
-    if isinstance(value, str):
+    if value is None or isinstance(value, str | int):
         return value
     if isinstance(value, Mapping):
         return {str(key): plain_json(item) for key, item in value.items()}

@@ -134,43 +134,31 @@ _LEVEL: Final = 4  # of gzip; 1 would take 15 % less time and 1 % more room
 _COMPACT: Final = 1024  # bytes of a data set that are part of its header
 
 
-def write_hdf5(
-    path: Path,
-    scene: str,
-    nutrients: Sequence[str],
-    frames: Iterable[tuple[Arrays, int, Arrays]],
-    history: Mapping[str, NDArray[np.float64]],
-    absorbed: str,
-    *,
-    synced: bool = True,
-) -> None:
+def write_hdf5(path: Path, *content: Any) -> None:
     """Write a file in the place of ``path``; until it has been read back the old one stays.
 
-    - ``scene``: text of ``scene.toml``
-    - ``frames``: arrays, checksum and new rows of the lineage of each frame, one after another
-    - ``history``, column -> (m,) float64
-    - ``absorbed``: identity of the journal that is part of the file now: 32 letters
-    - ``synced``: as of :func:`multicell.results.folder.replace_by_name`
+    - ``content``: as of :func:`_write`
     """
-    identity, digests = uuid.uuid4().hex, []
     read_back: list[File] = []
-
-    def noted() -> Iterator[tuple[Arrays, int, Arrays]]:
-        for frame in frames:
-            digests.append(frame[1])
-            yield frame
 
     def check(part: Path) -> None:
         written = File(part, own=True)
-        if written.identity != identity or written.digests.tolist() != digests:
+        if (written.identity, written.digests.tolist()) != made:
             raise _damage(part, "it is not what was written")
         read_back.append(written)
 
-    place = whole_file(path, check, synced=synced)
-    with place as sink, h5py.File(sink, "w", libver=_LIBVER) as target:
-        _describe(target, identity=np.bytes_(identity), absorbed=np.bytes_(absorbed))
-        _fill(target, scene, _Log(target, nutrients, sink), noted(), history)
+    with whole_file(path, check) as sink:
+        made = _write(sink, *content)
     _note_read_back(path, read_back[0])
+
+
+def image(*content: Any) -> bytes:
+    """Return the bytes of a file as :func:`write_hdf5` writes it."""
+    file = io.BytesIO()
+    sink = Sink(file)
+    _write(sink, *content)
+    sink.finish()
+    return file.getvalue()
 
 
 _READ_BACK: dict[tuple[Any, ...], File] = {}  # the small file that was written last
@@ -214,15 +202,12 @@ def opened(path: Path) -> File:
 
 
 @contextmanager
-def whole_file(
-    path: Path, check: Check, beside: str = "part", *, synced: bool = True
-) -> Iterator[Sink]:
+def whole_file(path: Path, check: Check, beside: str = "part") -> Iterator[Sink]:
     """Give what HDF5 may write a file to that takes the place of ``path`` when it is complete.
 
-    - ``check``, ``beside``, ``synced``: as of
-      :func:`multicell.results.folder.replace_by_name`
+    - ``check``, ``beside``: as of :func:`multicell.results.folder.replace_by_name`
     """
-    with replace_file(path, check, beside, synced=synced) as file:
+    with replace_file(path, check, beside) as file:
         sink = Sink(file)
         try:
             yield sink
@@ -234,36 +219,50 @@ def whole_file(
         sink.finish()
 
 
-def _fill(
-    target: Any,
+def _write(
+    sink: Sink,
     scene: str,
-    log: _Log,
+    nutrients: Sequence[str],
     frames: Iterable[tuple[Arrays, int, Arrays]],
     history: Mapping[str, NDArray[np.float64]],
-) -> None:
-    h5py.h5g.create(target.id, b"fields")
-    text = np.frombuffer(scene.encode(), "|u1")
-    _create(target, "scene", of_rows("|u1"), text)
-    for frame in frames:
-        log.add(*frame)
-    log.flush(last=True)
-    names = sorted(history)
-    rows = {f"history/{name}": np.asarray(history[name], "<f8") for name in names}
-    units = {f"history/{name}": of_rows("<f8", known_unit(name)) for name in names}
-    if not fits_table(names):
-        h5py.h5g.create(target.id, b"history")
-    for made in _tables(units, rows, column_places(rows, history=fits_table(names))):
-        _create(target, *made)
-    digest = np.uint32(array_digest({name: history[name] for name in names}))
-    _attach(h5py.h5o.open(target.id, b"history"), "digest", digest)
-    shared = {path: np.concatenate(pieces) for path, pieces in log.shared.items()}
-    _describe(
-        target,
-        format=np.int64(FRAMES_FORMAT),
-        multicell=np.array(package_version(), _TEXT),
-        frames=np.int64(log.count),
-        digest=np.uint32(array_digest({"scene": text, **shared})),
-    )
+    absorbed: str,
+) -> tuple[str, list[int]]:
+    """Write a file; return its identity, and the checksums of its frames.
+
+    - ``scene``: text of ``scene.toml``
+    - ``frames``: arrays, checksum and new rows of the lineage of each frame, one after another
+    - ``history``, column -> (m,) float64
+    - ``absorbed``: identity of the journal that is part of the file now: 32 letters
+    """
+    identity = uuid.uuid4().hex
+    with h5py.File(sink, "w", libver=_LIBVER) as target:
+        log = _Log(target, nutrients, sink)
+        h5py.h5g.create(target.id, b"fields")
+        text = np.frombuffer(scene.encode(), "|u1")
+        _create(target, "scene", of_rows("|u1"), text)
+        for frame in frames:
+            log.add(*frame)
+        log.flush(last=True)
+        names = sorted(history)
+        rows = {f"history/{name}": np.asarray(history[name], "<f8") for name in names}
+        units = {f"history/{name}": of_rows("<f8", known_unit(name)) for name in names}
+        if not fits_table(names):
+            h5py.h5g.create(target.id, b"history")
+        for made in _tables(units, rows, column_places(rows, history=fits_table(names))):
+            _create(target, *made)
+        digest = np.uint32(array_digest({name: history[name] for name in names}))
+        _attach(h5py.h5o.open(target.id, b"history"), "digest", digest)
+        shared = {path: np.concatenate(pieces) for path, pieces in log.shared.items()}
+        _describe(
+            target,
+            identity=np.bytes_(identity),
+            absorbed=np.bytes_(absorbed),
+            format=np.int64(FRAMES_FORMAT),
+            multicell=np.array(package_version(), _TEXT),
+            frames=np.int64(len(log.digests)),
+            digest=np.uint32(array_digest({"scene": text, **shared})),
+        )
+    return identity, log.digests
 
 
 @lru_cache(maxsize=256)
@@ -357,7 +356,7 @@ class _Log:
         self._lengths: dict[str, int] = {}
         self._made: set[str] = set()
         self._size = 0
-        self.count = 0
+        self.digests: list[int] = []  # of the frames so far
         self.shared: dict[str, list[NDArray[Any]]] = {path: [] for path in _shared(sets)}
 
     def add(self, arrays: Arrays, check: int, log: Arrays) -> None:
@@ -381,7 +380,7 @@ class _Log:
         for pool, length in self._lengths.items():
             self._ends[pool] += length
             self._put(pool, np.array([self._ends[pool]], "<i8"))
-        self.count += 1
+        self.digests.append(check)
         if self._size > _BATCH:
             self.flush()
 

@@ -72,6 +72,7 @@ from multicell.results.folder import (
     remove,
     sync_folder,
     versions,
+    write_bytes,
     write_copies,
     write_text,
 )
@@ -129,7 +130,8 @@ class Store:
         - ``overwrite``: remove the files of an earlier run first; one of the same scene that has
           no frame yet is begun anew in any case
         - ``brief``: write scene and journal only if the run takes longer than a second; before
-          that a kill leaves an empty folder, whose name may be lost with the power
+          that a kill leaves an empty folder. Until the caller has this and the one above on the
+          disk (:func:`multicell.results.folder.sync_folder`), names may be lost with the power
         """
         folder = Path(folder)
         make_folder(folder, overwrite=overwrite or _is_begun(folder, scene), synced=not brief)
@@ -217,6 +219,11 @@ class Store:
         for entry in contents.places[: place + 1]:
             self._add(entry.arrays(), entry.log())
 
+    @property
+    def is_brief(self) -> bool:
+        """Whether there is no journal, and the caller has names on the disk."""
+        return self._journal is None
+
     def append(self, frame: Frame, lineage: Lineage | None = None) -> None:
         """Write a frame.
 
@@ -279,8 +286,9 @@ class Store:
         if self._journal is None:
             with suppress(OutputError):  # said where the journal meets it, too
                 write_text(self.folder / "scene.toml", self.scene, synced=False)
-                # there is no journal to remove: names come with that of the summary, in their order
-                hdf5.write_hdf5(self.folder / hdf5.FRAMES_FILE, *self._results(), synced=False)
+                # there is no journal to remove; where a name is on the disk, those before it are
+                image = hdf5.image(*self._results())
+                write_bytes(self.folder / hdf5.FRAMES_FILE, image, synced=False)
                 return
             self._begin()
         assert self._journal is not None

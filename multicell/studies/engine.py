@@ -103,14 +103,17 @@ def run_study(
     with file_errors("use the folder", folder):
         (folder / "runs").mkdir(parents=True, exist_ok=True)
     outcomes: dict[str, RunOutcome] = {}
+    unsynced: list[str] = []
     synced = clock.monotonic()
 
     def report(outcome: RunOutcome) -> None:
         nonlocal synced
         outcomes[outcome.name] = outcome
-        if not outcome.reused and clock.monotonic() - synced > _SYNC:
-            sync_folder(folder / "runs")  # a brief run leaves that to us
-            synced = clock.monotonic()
+        if not outcome.reused:
+            unsynced.append(outcome.name)
+            if clock.monotonic() - synced > _SYNC:
+                _sync(folder, unsynced)
+                synced = clock.monotonic()
         if progress is not None:
             progress(outcome)
 
@@ -142,8 +145,15 @@ def run_study(
             else:
                 _do_there(tasks, folder, most, scheduler, report)
         finally:
-            sync_folder(folder / "runs")
+            _sync(folder, unsynced + [run.name for run in ordered if run.name not in outcomes])
     return [outcomes[run.name] for run in runs]
+
+
+def _sync(folder: Path, names: list[str]) -> None:
+    """Have the names in folders of runs on the disk, which brief runs leave to us; forget these."""
+    while names:
+        sync_folder(run_folder(folder, names.pop()))
+    sync_folder(folder / "runs")
 
 
 def _do_there(

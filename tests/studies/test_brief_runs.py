@@ -13,6 +13,7 @@ from multicell.results import folder as folders
 from multicell.results import hdf5, writer
 from multicell.results.journal import Journal
 from multicell.results.observable import OWN_OBSERVABLES
+from multicell.studies import engine
 from multicell.studies.engine import run_study
 from multicell.studies.runs import run_digest
 from multicell.studies.status import run_folder
@@ -74,6 +75,7 @@ def test_frames_that_cannot_be_written_at_the_end_are_kept_in_a_journal(
 
     run = run_of(SCENE)
     with monkeypatch.context() as patch:
+        patch.setattr(writer, "write_bytes", refused)
         patch.setattr(hdf5, "write_hdf5", refused)
         [outcome] = run_study([run], tmp_path, cores=1)
     assert (outcome.state, outcome.kind) == ("failed", "machine")
@@ -122,10 +124,27 @@ def test_names_of_folders_are_on_the_disk_at_the_end_of_a_study(tmp_path, monkey
         fsync(descriptor)
 
     monkeypatch.setattr(os, "fsync", noted)
+    monkeypatch.setattr(writer, "_HISTORY_EVERY", 1e9)
+    monkeypatch.setattr(engine, "_SYNC", 1e9)
     run = run_of(SCENE)
     run_study([run], tmp_path, cores=1)
     parts = ["scene.toml.part", "frames.h5.part", "summary.json.part"]
     assert done == [*parts, run.name, "runs"]
+
+
+def test_names_are_on_the_disk_each_second_of_a_study(tmp_path, monkeypatch):
+    done, sync_folder = [], engine.sync_folder
+    runs = [run_of(SCENE.with_changes({"seed": seed})) for seed in (1, 2)]
+
+    def noted(place):
+        done.append(place.name)
+        sync_folder(place)
+
+    monkeypatch.setattr(engine, "sync_folder", noted)
+    monkeypatch.setattr(writer, "_HISTORY_EVERY", 1e9)
+    monkeypatch.setattr(engine, "_SYNC", 0.0)
+    run_study(runs, tmp_path, cores=1, progress=lambda outcome: done.append("told"))
+    assert done == [*(part for run in runs for part in (run.name, "runs", "told")), "runs"]
 
 
 @pytest.mark.parametrize("cores", [1, 2])
