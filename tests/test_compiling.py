@@ -9,7 +9,8 @@ import numba.core.event as event
 import numpy as np
 import pytest
 from numba import njit, types
-from numba.extending import intrinsic
+from numba.core.typing.templates import ConcreteTemplate, infer_global
+from numba.extending import intrinsic, lower_builtin
 
 import multicell as mc
 from multicell import compiling
@@ -209,6 +210,45 @@ def test_code_from_disk_is_run_without_what_compiles(tmp_path, function, call):
     assert seen[1][0] == "1.5"
     assert seen[1][2] == "6.0"
     assert [words[3] for words in seen] == ["True", "False"]
+
+
+def test_numba_compiles_its_functions_once_for_all_ways_to_call_their_callers():
+    found = []
+
+    class Compiled(event.Listener):
+        def on_start(self, event):
+            dispatcher = event.data["dispatcher"]
+            if event.data["args"] not in dispatcher.overloads:
+                found.append(dispatcher.py_func.__module__)
+
+        def on_end(self, event):
+            pass
+
+    with event.install_listener("numba:compile", Compiled()):
+        for options in ({"nogil": True}, {"forceinline": True}, {"no_cfunc_wrapper": True}):
+            assert njit(**options)(lambda a, b: max(a, b))(np.int16(3), np.uint8(4)) == 4
+        assert found.count("numba.cpython.builtins") == 1
+        # arrays must not be made without the counting of references: another option, and code
+        made = njit(lambda n: np.zeros(n)), njit(_nrt=False)(lambda n: np.zeros(n))
+        assert made[0](3).size == 3
+        with pytest.raises(Exception, match="returning of array"):
+            made[1](3)
+    assert found.count(__name__) == 5
+
+
+def _registered_late(x):
+    raise AssertionError(x)
+
+
+def test_what_is_registered_after_the_first_compilation_is_found():
+    assert njit(lambda x: x + 1.0)(1.0) == 2.0
+
+    @infer_global(_registered_late)
+    class _Late(ConcreteTemplate):
+        cases = (types.float64(types.float64),)
+
+    lower_builtin(_registered_late, types.float64)(lambda _, builder, signature, values: values[0])
+    assert njit(lambda x: _registered_late(x))(3.0) == 3.0
 
 
 def test_loops_and_python_share_the_forces():
