@@ -32,6 +32,8 @@ functions                               callers, as ours are; each would be opti
 options of callers           speed      numba compiles its functions once more for each way in which
                                         callers are called, and sorts the names of all options
                                         whenever it looks for one: 3 % of the first command.
+types of operators           speed      numba tries dozens of rules for each operator, and words why
+                                        most of them do not fit: 7 % of the first command.
 tables of numba's own        speed      numba looks for more of them at each new function: 2 % of
                                         the first command.
 collector of garbage         speed      numba makes millions of objects that live until it is done:
@@ -76,6 +78,7 @@ from numba.core.pythonapi import _boxers
 from numba.core.registry import cpu_target
 from numba.core.runtime.nrt import rtsys
 from numba.core.targetconfig import ConfigStack, TargetConfig
+from numba.core.types.functions import BaseFunction
 from numba.core.typing.context import Context
 from numba.core.typing.templates import _OverloadFunctionTemplate
 from numba.cpython import hashing  # noqa: F401 - names symbols that code from disk may ask for
@@ -186,6 +189,26 @@ def _overload_of(template: Any, args: Any, kws: Any) -> Any:
     key = template.context, tuple(args), tuple(kws.items()), options
     found = template._impl_cache.get(key)
     return template._build_impl(key, args, kws) if found is None else found
+
+
+_plain_call_type: Any = BaseFunction.get_call_type
+_CALL_TYPES: dict[Any, Any] = {}
+
+
+def _call_type(function: Any, context: Any, args: Any, kws: Any) -> Any:
+    """Return the types of a call of what numba implements itself, such as the sum of two numbers.
+
+    What is implemented by compiled code is left out: that depends on more than the types.
+    """
+    key, own = (function, context, tuple(args)), function.typing_key
+    found = None if kws else _CALL_TYPES.get(key)
+    if found is None:
+        found = _plain_call_type(function, context, args, kws)
+        if kws or function._impl_keys[found.args] is not own:
+            return found
+        _CALL_TYPES[key] = found
+    function._impl_keys[found.args] = own
+    return found
 
 
 _plain_index = caching.IndexDataCacheFile._load_index
@@ -356,6 +379,7 @@ def change_numba(stamp_of: Callable[[str], Any]) -> None:
     template: Any = _OverloadFunctionTemplate
     template._get_jit_decorator, template._get_impl = _jit_of_overloads, _overload_of
     TargetConfig.__hash__ = lambda options: hash(type(options))  # type: ignore[method-assign]
+    BaseFunction.get_call_type = _call_type  # type: ignore[method-assign]
     for context in (CPUContext, Context):
         context.load_additional_registries = cache(context.load_additional_registries)  # type: ignore[method-assign]
     _boxers.functions |= {
