@@ -191,7 +191,8 @@ def _overload_of(template: Any, args: Any, kws: Any) -> Any:
     return template._build_impl(key, args, kws) if found is None else found
 
 
-_plain_call_type: Any = BaseFunction.get_call_type
+_Function: Any = BaseFunction
+_plain_call_type = _Function.get_call_type
 _CALL_TYPES: dict[Any, Any] = {}
 
 
@@ -379,7 +380,7 @@ def change_numba(stamp_of: Callable[[str], Any]) -> None:
     template: Any = _OverloadFunctionTemplate
     template._get_jit_decorator, template._get_impl = _jit_of_overloads, _overload_of
     TargetConfig.__hash__ = lambda options: hash(type(options))  # type: ignore[method-assign]
-    BaseFunction.get_call_type = _call_type  # type: ignore[method-assign]
+    _Function.get_call_type = _call_type
     for context in (CPUContext, Context):
         context.load_additional_registries = cache(context.load_additional_registries)  # type: ignore[method-assign]
     _boxers.functions |= {
