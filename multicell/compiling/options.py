@@ -28,7 +28,7 @@ disk neither, where those are that have taken it in."""
 UNCOUNTED: dict[str, Any] = {**INNER, "_nrt": False}
 """Options of inner functions that make no arrays: they count no references to those that their
 callers hold, so that they must not return arrays either. Counting is atomic, takes longer than a
-few lines of arithmetic, and a tenth of the time of compilation."""
+few lines of arithmetic, and is compiled in each of the callers."""
 INLINED: dict[str, Any] = {**UNCOUNTED, "forceinline": True}
 """Options of such functions that must not cost a call, as those of one pair."""
 
