@@ -9,8 +9,7 @@ import numba.core.event as event
 import numpy as np
 import pytest
 from numba import njit, types
-from numba.core.typing.templates import ConcreteTemplate, infer_global
-from numba.extending import intrinsic, lower_builtin
+from numba.extending import intrinsic
 
 import multicell as mc
 from multicell import compiling
@@ -234,21 +233,6 @@ def test_numba_compiles_its_functions_once_for_all_ways_to_call_their_callers():
         with pytest.raises(Exception, match="returning of array"):
             made[1](3)
     assert found.count(__name__) == 5
-
-
-def _registered_late(x):
-    raise AssertionError(x)
-
-
-def test_what_is_registered_after_the_first_compilation_is_found():
-    assert njit(lambda x: x + 1.0)(1.0) == 2.0
-
-    @infer_global(_registered_late)
-    class _Late(ConcreteTemplate):
-        cases = (types.float64(types.float64),)
-
-    lower_builtin(_registered_late, types.float64)(lambda _, builder, signature, values: values[0])
-    assert njit(lambda x: _registered_late(x))(3.0) == 3.0
 
 
 def test_loops_and_python_share_the_forces():

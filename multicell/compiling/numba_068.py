@@ -34,8 +34,6 @@ options of callers           speed      numba compiles its functions once more f
                                         whenever it looks for one: 3 % of the first command.
 types of operators           speed      numba tries dozens of rules for each operator, and words why
                                         most of them do not fit: 7 % of the first command.
-tables of numba's own        speed      numba looks for more of them at each new function: 2 % of
-                                        the first command.
 collector of garbage         speed      numba makes millions of objects that live until it is done:
                                         8 % of the first command.
 tables for compilation       start      numba fills them, and imports what it compiles them from,
@@ -62,7 +60,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from functools import cache
 from typing import Any, final
 
 from llvmlite import ir
@@ -71,7 +68,6 @@ from numba._dispatcher import compute_fingerprint
 from numba.core import boxing, caching, cgutils, config, event
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
-from numba.core.cpu import CPUContext
 from numba.core.dispatcher import Dispatcher
 from numba.core.event import install_recorder
 from numba.core.pythonapi import _boxers
@@ -79,7 +75,6 @@ from numba.core.registry import cpu_target
 from numba.core.runtime.nrt import rtsys
 from numba.core.targetconfig import ConfigStack, TargetConfig
 from numba.core.types.functions import BaseFunction
-from numba.core.typing.context import Context
 from numba.core.typing.templates import _OverloadFunctionTemplate
 from numba.cpython import hashing  # noqa: F401 - names symbols that code from disk may ask for
 from numba.np import linalg
@@ -381,8 +376,6 @@ def change_numba(stamp_of: Callable[[str], Any]) -> None:
     template._get_jit_decorator, template._get_impl = _jit_of_overloads, _overload_of
     TargetConfig.__hash__ = lambda options: hash(type(options))  # type: ignore[method-assign]
     _Function.get_call_type = _call_type
-    for context in (CPUContext, Context):
-        context.load_additional_registries = cache(context.load_additional_registries)  # type: ignore[method-assign]
     _boxers.functions |= {
         types.Array: _box_array,
         types.NamedTuple: _box_named_tuple,
