@@ -178,9 +178,10 @@ _OF_CALLERS = ("forceinline", "release_gil", "no_cpython_wrapper", "no_cfunc_wra
 def _overload_of(template: Any, args: Any, kws: Any) -> Any:
     """Return the function of an overload for arguments, one for all such options of callers."""
     options: Any = ConfigStack.top_or_none()  # type: ignore[no-untyped-call]
-    options = None if options is None else options.copy()
-    for name in () if options is None else _OF_CALLERS:
-        options.discard(name)
+    if options is not None:
+        options = options.copy()
+        for name in _OF_CALLERS:
+            options.discard(name)
     key = template.context, tuple(args), tuple(kws.items()), options
     found = template._impl_cache.get(key)
     return template._build_impl(key, args, kws) if found is None else found
@@ -196,14 +197,13 @@ def _call_type(function: Any, context: Any, args: Any, kws: Any) -> Any:
 
     What is implemented by compiled code is left out: that depends on more than the types.
     """
-    key, own = (function, context, tuple(args)), function.typing_key
-    found = None if kws else _CALL_TYPES.get(key)
-    if found is None:
+    key = function, context, tuple(args), tuple(kws.items())
+    if (found := _CALL_TYPES.get(key)) is None:
         found = _plain_call_type(function, context, args, kws)
-        if kws or function._impl_keys[found.args] is not own:
-            return found
-        _CALL_TYPES[key] = found
-    function._impl_keys[found.args] = own
+        if function._impl_keys[found.args] is function.typing_key:
+            _CALL_TYPES[key] = found
+        return found
+    function._impl_keys[found.args] = function.typing_key
     return found
 
 

@@ -165,7 +165,7 @@ def _newton(
     here, there, root = c, work[5].reshape(c.shape), np.sqrt(c.size)
     x, left, parts = work[0], residual.reshape(c.size), np.empty((5, 1))
     steps, products, size = 0, 0, 0.0
-    _imbalance(here, *law, residual, rate, parts, x)
+    _imbalance(here, law, weights, exchange, residual, rate, parts, x)
     while True:
         last, size = size, np.sqrt(parts[0, 0])
         target = max(tolerance * parts[1, 0] / root, rounding * np.sqrt(parts[2, 0]))
@@ -204,7 +204,7 @@ def _newton(
         for _ in range(backtracks):  # see :func:`multicell.nutrient.steady._search`
             for n in range(c.size):
                 b[n] = x[n] * part + a[n]
-            product = _imbalance(there, *law, residual, rate, parts, x)
+            product = _imbalance(there, law, weights, exchange, residual, rate, parts, x)
             if not product < -0.9 * slope:
                 break
             part *= max(slope / (slope - product), 0.25)
@@ -223,15 +223,9 @@ def _newton(
 @_inner
 def _imbalance(
     c: FloatArray,
-    sink: FloatArray,
-    source: FloatArray,
-    half: float,
-    stiffness: float,
-    linear: float,
-    ghost: FloatArray,
+    law: tuple[Any, ...],
     weights: stencil.Weights,
     exchange: FloatArray | None,
-    level: float,
     residual: FloatArray,
     rate: FloatArray,
     parts: FloatArray,
@@ -242,9 +236,10 @@ def _imbalance(
     Return the product of the residual and ``x``, (nodes,). Planes without weights are one long row:
     short ones would leave the vector units idle.
     """
+    # arguments of their own: numba does not see that a part of a tuple is None
+    sink, source, half, stiffness, linear, ghost, _, _, _ = law
     nx, across = len(c), c.shape[1] * c.shape[2]
     if weights is not None or exchange is not None:
-        law = (sink, source, half, stiffness, linear, ghost, weights, exchange, level)
         stencil.imbalance_of_planes(0, nx, c, *law, residual, rate, parts, nx)
         every, product = residual.reshape(c.size), 0.0
         for k in range(c.size):
