@@ -9,6 +9,7 @@ what is not ready in time is compiled when it is needed.
 
 from __future__ import annotations
 
+import gc
 import os
 import pickle
 import subprocess
@@ -24,7 +25,6 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 
 from multicell.compiling import COMPILATION
-from multicell.host.garbage import collect_rarely
 from multicell.simulation.timeline import PhaseTimer
 
 if TYPE_CHECKING:
@@ -244,5 +244,5 @@ def take_shares() -> None:
 
 
 if __name__ == "__main__":
-    collect_rarely()
+    gc.disable()  # it ends before its garbage matters
     take_shares()

@@ -5,16 +5,20 @@ folders and files of others in ``cli/test_closed_folders``, boxes and signals in
 ``test_interrupts``, types that are gone and the collector in ``test_compiling``.
 """
 
+import itertools
 import math
+import operator
 import subprocess
 import sys
 
 import numpy as np
 import pytest
-from numba import njit, objmode
+from numba import njit, objmode, types
+from numba.core.registry import cpu_target
+from numba.core.types import functions
 from numba.extending import overload
 
-import multicell.compiling  # noqa: F401 - changes numba
+from multicell.compiling import numba_068  # changes numba
 
 
 @pytest.mark.slow
@@ -54,6 +58,30 @@ def test_overloads_of_users_have_what_numba_gives_them():
     assert root(4.0) == 2.0
     with pytest.raises(ValueError, match=r"no root of.*-1\.0"):
         root(-1.0)
+
+
+def test_operators_are_typed_once_and_as_numba_does(monkeypatch):
+    tried = []
+
+    class Tried(functions._ResolutionFailures):
+        def __init__(self, context, function, *rest, **named):
+            tried.append(function.typing_key)
+            super().__init__(context, function, *rest, **named)
+
+    context = cpu_target.typing_context
+    context.refresh()
+    monkeypatch.setattr(functions, "_ResolutionFailures", Tried)
+    kinds = (types.int64, types.uint64, types.float32, types.float64, types.boolean)
+    once = 5 * len(kinds) ** 2
+    for again in range(2):
+        tried.clear()
+        for a, b in itertools.product(kinds, kinds):
+            for name in ("mul", "add", "truediv", "lt", "floordiv"):
+                own = context.resolve_value_type(getattr(operator, name))
+                plain = numba_068._plain_call_type(own, context, (a, b), {})
+                assert own.get_call_type(context, (a, b), {}) == plain
+        # the second time only where numba is asked here
+        assert (len(tried) == once) if again else (once < len(tried) <= 2 * once)
 
 
 BLAS = """

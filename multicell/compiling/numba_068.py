@@ -29,6 +29,11 @@ functions                               callers, as ours are; each would be opti
                                         into machine code that nothing calls: 6 % of the first
                                         command. Not those of users: pieces have no environment,
                                         which ``objmode`` and exceptions with values need.
+options of callers           speed      numba compiles its functions once more for each way in which
+                                        callers are called, and sorts the names of all options
+                                        whenever it looks for one: 3 % of the first command.
+types of operators           speed      numba tries dozens of rules for each operator, and words why
+                                        most of them do not fit: 7 % of the first command.
 collector of garbage         speed      numba makes millions of objects that live until it is done:
                                         8 % of the first command.
 tables for compilation       start      numba fills them, and imports what it compiles them from,
@@ -43,8 +48,8 @@ SciPy's BLAS                 start      numba imports ``scipy.linalg`` to ask wh
 ===========================  =========  ==========================================================
 
 Gains are parts of the CPU time of ``multicell run spheroid -o out --set duration="2 d" --quiet``
-with an empty cache. What gains less than a twentieth of that is left as numba has it: a quicker
-comparison of options (2 %), remembered sizes of types (1 %).
+with an empty cache. What gains less than a fiftieth of that is left as numba has it: remembered
+sizes of types (1 %).
 
 :mod:`multicell.host.surroundings` keeps ``numba.core.config`` from reading files of the working
 folder, before numba is imported. The pin ``numba>=0.68,<0.69`` stands for all this: with another
@@ -68,6 +73,8 @@ from numba.core.event import install_recorder
 from numba.core.pythonapi import _boxers
 from numba.core.registry import cpu_target
 from numba.core.runtime.nrt import rtsys
+from numba.core.targetconfig import ConfigStack, TargetConfig
+from numba.core.types.functions import BaseFunction
 from numba.core.typing.templates import _OverloadFunctionTemplate
 from numba.cpython import hashing  # noqa: F401 - names symbols that code from disk may ask for
 from numba.np import linalg
@@ -155,11 +162,49 @@ _OURS = ("multicell.", "numba.cpython.", "numba.np.")
 def _jit_of_overloads(template: Any) -> Callable[..., Any]:
     """Return a function that compiles an overload, such as numba's ``np.empty``: as a piece."""
     compiles = _plain_jit(template)  # type: ignore[no-untyped-call]
-    if not str(template._overload_func.__module__).startswith(_OURS):
+    # by the key of what is compiled as it stands: the function is one of ``register_jitable``
+    modules = [getattr(of, "__module__", "") for of in (template._overload_func, template.key)]
+    if not any(str(module).startswith(_OURS) for module in modules):
         return compiles  # type: ignore[no-any-return]
     return lambda **options: compiles(
         **{"pipeline_class": PieceCompiler, "no_cfunc_wrapper": True, **options}
     )
+
+
+_OF_CALLERS = ("forceinline", "release_gil", "no_cpython_wrapper", "no_cfunc_wrapper")
+"""Options that say how a function is called, which is nothing to what it calls."""
+
+
+def _overload_of(template: Any, args: Any, kws: Any) -> Any:
+    """Return the function of an overload for arguments, one for all such options of callers."""
+    options: Any = ConfigStack.top_or_none()  # type: ignore[no-untyped-call]
+    if options is not None:
+        options = options.copy()
+        for name in _OF_CALLERS:
+            options.discard(name)
+    key = template.context, tuple(args), tuple(kws.items()), options
+    found = template._impl_cache.get(key)
+    return template._build_impl(key, args, kws) if found is None else found
+
+
+_Function: Any = BaseFunction
+_plain_call_type = _Function.get_call_type
+_CALL_TYPES: dict[Any, Any] = {}
+
+
+def _call_type(function: Any, context: Any, args: Any, kws: Any) -> Any:
+    """Return the types of a call of what numba implements itself, such as the sum of two numbers.
+
+    What is implemented by compiled code is left out: that depends on more than the types.
+    """
+    key = function, context, tuple(args), tuple(kws.items())
+    if (found := _CALL_TYPES.get(key)) is None:
+        found = _plain_call_type(function, context, args, kws)
+        if function._impl_keys[found.args] is function.typing_key:
+            _CALL_TYPES[key] = found
+        return found
+    function._impl_keys[found.args] = function.typing_key
+    return found
 
 
 _plain_index = caching.IndexDataCacheFile._load_index
@@ -328,7 +373,9 @@ def change_numba(stamp_of: Callable[[str], Any]) -> None:
     caching.Cache.load_overload = _load_overload  # type: ignore[method-assign]
     _Dispatcher._compilation_chain_init_hook = _hook
     template: Any = _OverloadFunctionTemplate
-    template._get_jit_decorator = _jit_of_overloads
+    template._get_jit_decorator, template._get_impl = _jit_of_overloads, _overload_of
+    TargetConfig.__hash__ = lambda options: hash(type(options))  # type: ignore[method-assign]
+    _Function.get_call_type = _call_type
     _boxers.functions |= {
         types.Array: _box_array,
         types.NamedTuple: _box_named_tuple,

@@ -27,9 +27,10 @@ INNER: dict[str, Any] = {**ADDRESSED, "cache": False, "pipeline_class": PieceCom
 disk neither, where those are that have taken it in."""
 UNCOUNTED: dict[str, Any] = {**INNER, "_nrt": False}
 """Options of inner functions that make no arrays: they count no references to those that their
-callers hold. Counting is atomic, and takes longer than a few lines of arithmetic."""
-INLINED: dict[str, Any] = {**INNER, "forceinline": True}
-"""Options of small functions of one pair, which must not cost a call."""
+callers hold, so that they must not return arrays either. Counting is atomic, takes longer than a
+few lines of arithmetic, and is compiled in each of the callers."""
+INLINED: dict[str, Any] = {**UNCOUNTED, "forceinline": True}
+"""Options of such functions that must not cost a call, as those of one pair."""
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 

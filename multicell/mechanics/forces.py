@@ -28,7 +28,7 @@ from numba import njit, prange, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from multicell.compiling import INLINED, INNER, KERNEL, arithmetic
+from multicell.compiling import INLINED, INNER, KERNEL, UNCOUNTED, arithmetic
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.pairs import evaluate_pair
 from multicell.mechanics.rows import COMPLIANCE, LIGAND, RADIUS, RECEPTOR, SHORTEST
@@ -126,7 +126,7 @@ def _bonded(bond, count, overlap, radius):
     return (0.5 * math.pi * bond) * q * q * count, slope if overlap > 0.0 else 0.0
 
 
-@njit(**INNER)
+@njit(**UNCOUNTED)
 def _pack_chunk(c, cells, position, elapsed, rows):
     """Fill the rows of one chunk at a time ``elapsed``; return 1 if a cell has drifted.
 
@@ -338,7 +338,7 @@ def _keep(slope, block, p, value):
         block[_SLOPE, p] = value
 
 
-@njit(**INLINED)
+@njit(**INNER, forceinline=True)
 def _evaluate(pairs, law, elapsed, begin, count, block, slope):
     """Write F / d and dF/dh + F / d of a block of pairs; what is not read is not computed."""
     for p in range(count):
@@ -461,7 +461,7 @@ def _vector(rows, i, j, period):
     return dx, dy, dz, math.sqrt(dx * dx + dy * dy + dz * dz + SHORTEST)
 
 
-@njit(**INLINED)
+@njit(**INNER, forceinline=True)
 def _energy_between(rows, i, j, pairs, p, law, elapsed):
     """Return the energy of two cells, whose pair stands at place ``p``."""
     d = _vector(rows, i, j, pairs.period)[3]
@@ -556,7 +556,7 @@ def _touches(h, unit, onset, p, elapsed):
 _PARTS = 16  # of a step, in which the attraction of a contact that forms is added up
 
 
-@njit(**INLINED)
+@njit(**INNER, forceinline=True)
 def _attraction(rows, i, j, pairs, p, law, elapsed, overlap):
     """Return with how much force two cells attract each other at an overlap, nN, or zero."""
     total = rows[i, RADIUS] + rows[j, RADIUS]
@@ -586,7 +586,7 @@ def _approach(place, speed, i, j, growth, period):
     return d, growth - along / d
 
 
-@njit(**INNER)
+@njit(**UNCOUNTED)
 def pairs_about_to_touch(pairs, rows, elapsed, room, places):
     """Note the places of pairs whose gap or overlap is below the sum of the two ``room``, µm.
 
@@ -695,7 +695,7 @@ def _passage(pairs, p, radius, rate, before, after, speed, end_speed, elapsed, d
     return gap, narrowing, end, end_narrowing, nearest
 
 
-@njit(**INLINED)
+@njit(**INNER, forceinline=True)
 def _part_taken(
     cells, pairs, p, law, rows, before, after, speed, end_speed, elapsed, dt, tolerance
 ):

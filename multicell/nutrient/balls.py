@@ -32,7 +32,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
-from multicell.compiling import INLINED, INNER, KERNEL
+from multicell.compiling import INLINED, INNER, KERNEL, UNCOUNTED
 from multicell.compiling.threads import Team
 from multicell.nutrient.cartesian import Box
 
@@ -287,7 +287,7 @@ def _read_rows(_, values, first, stride, factor, rows, along):
     return types.float64(values, *_GIVEN), code
 
 
-@njit(**INNER)
+@njit(**UNCOUNTED)
 def _beyond(position, begin, size, widths, number, grid, low, high):
     """Return whether no cell of a block reaches the planes ``low:high``.
 
@@ -303,7 +303,7 @@ def _beyond(position, begin, size, widths, number, grid, low, high):
     return reaching == 0
 
 
-@njit(**INNER)
+@njit(**UNCOUNTED)
 def _fits(first, number, n):
     return first >= 0.0 and first + number <= n  # nor does this
 

@@ -21,13 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
-from multicell.compiling import INNER, KERNEL, arithmetic, typed
+from multicell.compiling import INNER, KERNEL, UNCOUNTED, arithmetic, typed
 from multicell.nutrient import stencil
 from multicell.nutrient.uptake import uptake_and_slope
 
 Float32Array = NDArray[np.float32]
 _jit = typed(**KERNEL)
 _inner = typed(**INNER)
+_bare = typed(**UNCOUNTED)
 
 MAX_DENSE_NODES = 48
 """Nodes along an axis up to which its transform is a matrix product."""
@@ -154,11 +155,10 @@ def _newton(
     and of :func:`.stencil.flows`.
     """
     law = (sink, source, half, stiffness, linear, ghost, weights, exchange, level)
-    lx, ly, lz = stiffness * ax, stiffness * ay, stiffness * az
     here, there, root = c, work[5].reshape(c.shape), np.sqrt(c.size)
     x, left, parts = work[0], residual.reshape(c.size), np.empty((5, 1))
     steps, products, size = 0, 0, 0.0
-    _imbalance(here, law, residual, rate, parts, x)
+    _imbalance(here, law, weights, exchange, residual, rate, parts, x)
     while True:
         last, size = size, np.sqrt(parts[0, 0])
         target = max(tolerance * parts[1, 0] / root, rounding * np.sqrt(parts[2, 0]))
@@ -184,9 +184,9 @@ def _newton(
             fx,
             fy,
             fz,
-            lx,
-            ly,
-            lz,
+            ax,
+            ay,
+            az,
         )
         steps += 1
         a, b, slope, part = here.reshape(c.size), there.reshape(c.size), 0.0, 1.0
@@ -197,7 +197,7 @@ def _newton(
         for _ in range(backtracks):  # see :func:`multicell.nutrient.steady._search`
             for n in range(c.size):
                 b[n] = x[n] * part + a[n]
-            product = _imbalance(there, law, residual, rate, parts, x)
+            product = _imbalance(there, law, weights, exchange, residual, rate, parts, x)
             if not product < -0.9 * slope:
                 break
             part *= max(slope / (slope - product), 0.25)
@@ -217,6 +217,8 @@ def _newton(
 def _imbalance(
     c: FloatArray,
     law: tuple[Any, ...],
+    weights: stencil.Weights,
+    exchange: FloatArray | None,
     residual: FloatArray,
     rate: FloatArray,
     parts: FloatArray,
@@ -227,7 +229,8 @@ def _imbalance(
     Return the product of the residual and ``x``, (nodes,). Planes without weights are one long row:
     short ones would leave the vector units idle.
     """
-    sink, source, half, stiffness, linear, ghost, weights, exchange, _ = law
+    # arguments of their own: numba does not see that a part of a tuple is None
+    sink, source, half, stiffness, linear, ghost, _, _, _ = law
     nx, across = len(c), c.shape[1] * c.shape[2]
     if weights is not None or exchange is not None:
         stencil.imbalance_of_planes(0, nx, c, *law, residual, rate, parts, nx)
@@ -264,13 +267,12 @@ def _imbalance(
     return product
 
 
-@_inner
+@_bare
 def _fill_plane(p: FloatArray, ghost: FloatArray, i: int, out: FloatArray) -> None:
     """Write the sums of neighbours of a plane to ``out``, see :func:`.stencil.fill_row`."""
     nx, ny, nz = p.shape
-    stencil.fill_row(p, ghost, i, 0, out[:nz])
-    if ny > 1:
-        stencil.fill_row(p, ghost, i, ny - 1, out[(ny - 1) * nz :])
+    for j in range(0, ny, max(ny - 1, 1)):
+        stencil.fill_row(p, ghost, i, j, out[j * nz : (j + 1) * nz])
     if ny < 3:
         return
     plane, end = p[i].reshape(ny * nz), (ny - 1) * nz
@@ -307,9 +309,9 @@ def _iterate(
     fx: Float32Array,
     fy: Float32Array,
     fz: Float32Array,
-    lx: FloatArray,
-    ly: FloatArray,
-    lz: FloatArray,
+    ax: FloatArray,
+    ay: FloatArray,
+    az: FloatArray,
 ) -> int:
     """Solve (-D L0 + rate) x = residual by conjugate gradients; return the number of steps.
 
@@ -323,7 +325,7 @@ def _iterate(
     weight = None if varied is None else varied.reshape(rate.size)
     total = stencil.begin(rates, left, weight, 0.5 / stiffness, size, x, r, p, scale, flat)
     shift = uptake_shift * total / rate.size
-    rho, beta, steps = _invert(y, shift, single, fx, fy, fz, lx, ly, lz), 0.0, 0
+    rho, beta, steps = _invert(y, shift, stiffness, single, fx, fy, fz, ax, ay, az), 0.0, 0
     while steps < stencil.MAX_CG:
         stencil.new_direction(p, flat, scale, beta)
         curvature = stencil.apply_operator(direction, rate, stiffness, ghost, weights, image)
@@ -332,7 +334,7 @@ def _iterate(
         steps += 1
         if not stencil.update_residual(rho / curvature, x, p, r, q, scale, flat) > goal:
             break
-        following = _invert(y, shift, single, fx, fy, fz, lx, ly, lz)
+        following = _invert(y, shift, stiffness, single, fx, fy, fz, ax, ay, az)
         beta, rho = following / rho, following
     for n in range(x.size):
         x[n] *= size
@@ -343,6 +345,7 @@ def _iterate(
 def _invert(
     y: Float32Array,
     shift: float,
+    stiffness: float,
     room: Float32Array,
     fx: Float32Array,
     fy: Float32Array,
@@ -364,7 +367,7 @@ def _invert(
     _forward(fy, by, ay)
     _turn(turned, bz)
     _forward(fz, bz, az)
-    product = _divide(az, lx, ly, lz, shift)
+    product = _divide(az, stiffness, lx, ly, lz, shift)
     _backward(fz, az, bz)
     _turn(bz, turned)
     _backward(fy, ay, by)
@@ -391,7 +394,7 @@ def _backward(f: Float32Array, x: Float32Array, y: Float32Array) -> None:
     _fold(y)
 
 
-@_inner
+@_bare
 def _fold(x: Float32Array) -> None:
     """Replace each two rows at the same distance from the middle by their sum and difference."""
     n, m = x.shape
@@ -434,7 +437,7 @@ def _product(f: Float32Array, x: Float32Array, y: Float32Array) -> None:
 
 # Flat arrays and unsigned numbers: the compiler would look for numbers that count from the end, and
 # takes ten times as long.
-@_inner
+@_bare
 def _swap(x: Float32Array, y: Float32Array) -> None:
     """Write ``x`` (n, m k) as (m, n k) to ``y``: the first two of three axes change places."""
     n, m = x.shape[0], y.shape[0]
@@ -450,7 +453,7 @@ def _swap(x: Float32Array, y: Float32Array) -> None:
                 b[c] = a[c]
 
 
-@_inner
+@_bare
 def _turn(x: Float32Array, y: Float32Array) -> None:
     """Write the transpose of ``x`` to ``y``, in blocks that fit into the nearest memory."""
     rows, columns = np.uint64(x.shape[0]), np.uint64(x.shape[1])
@@ -465,16 +468,21 @@ def _turn(x: Float32Array, y: Float32Array) -> None:
 
 @_inner
 def _divide(
-    spectrum: Float32Array, lx: FloatArray, ly: FloatArray, lz: FloatArray, shift: float
+    spectrum: Float32Array,
+    stiffness: float,
+    lx: FloatArray,
+    ly: FloatArray,
+    lz: FloatArray,
+    shift: float,
 ) -> float:
     """Divide the spectrum (nz, ny nx) in place; return the product of before and after."""
     nx, across = lx.size, lx.size * ly.size
     base, parts = np.empty(across), np.empty(across)
     for c in range(across):
-        base[c] = ly[c // nx] + lx[c % nx] + shift
+        base[c] = stiffness * ly[c // nx] + stiffness * lx[c % nx] + shift
         parts[c] = 0.0
     for k in range(lz.size):
-        row, least = spectrum[k], lz[k]
+        row, least = spectrum[k], stiffness * lz[k]
         for c in range(across):
             v = row[c]
             w = v / (base[c] + least)

@@ -19,14 +19,14 @@ from typing import Any
 
 import numpy as np
 
-from multicell.compiling import INLINED, KERNEL, UNCOUNTED, typed
+from multicell.compiling import INLINED, INNER, KERNEL, typed
 from multicell.nutrient.stencil import imbalance_of_planes
 
 _jit = typed(**KERNEL, nogil=True)
 # a call for each row would take as long as its work
-_inline = typed(**INLINED, nogil=True)
+_inline = typed(**INNER, forceinline=True, nogil=True)
 # they count no references to what they are given, so that they must not return arrays to others
-_bare = typed(**UNCOUNTED, forceinline=True, nogil=True)
+_bare = typed(**INLINED, nogil=True)
 
 _NONE = np.float32(0.0)
 _ONE = np.float32(1.0)

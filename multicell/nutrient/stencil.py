@@ -37,6 +37,7 @@ Floats = FloatArray | Float32Array
 _jit = typed(**KERNEL, nogil=True)
 _inner = typed(**INLINED, nogil=True)
 _both = partial(arithmetic, nogil=True)
+_bare = partial(arithmetic, nogil=True, _nrt=False)
 
 
 REPEATS = 2.0
@@ -387,7 +388,7 @@ def balance_ends(
                 e[k] = balanced(gain, loss, sink[i, j, k], half)
 
 
-@_both
+@_bare
 def begin(
     rate: Floats,
     residual: Floats,
@@ -422,7 +423,7 @@ def begin(
     return total
 
 
-@_both
+@_bare
 def update_residual(
     alpha: float,
     x: FloatArray,
@@ -443,7 +444,7 @@ def update_residual(
     return product
 
 
-@_both
+@_bare
 def new_direction(p: FloatArray, u: Float32Array, scale: FloatArray, beta: float) -> None:
     """Do ``p = scale u + beta p``, all flat."""
     for n in range(p.size):
@@ -480,7 +481,7 @@ def flat_dot(a: Floats, b: Floats) -> float:
     return product
 
 
-@_both
+@_bare
 def flows(
     c: FloatArray, ghost: FloatArray, const: FloatArray, weights: Weights
 ) -> tuple[float, float]:
@@ -510,7 +511,7 @@ def flows(
     return inward, outward
 
 
-@_both
+@_bare
 def account(c: FloatArray, sink: FloatArray, half: float, residual: Floats) -> tuple[float, float]:
     """Return the sums over all nodes of the sizes of the residual and of uptake, mM/s.
 

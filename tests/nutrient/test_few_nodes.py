@@ -105,7 +105,7 @@ def test_one_compiled_call_takes_the_steps_of_transforms(varied):
 
 @njit
 def _by_planes(c, law, residual, rate, parts, x):
-    return dense._imbalance(c, law, residual, rate, parts, x)
+    return dense._imbalance(c, law, law[6], law[7], residual, rate, parts, x)
 
 
 @pytest.mark.parametrize(

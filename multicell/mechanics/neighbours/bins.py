@@ -16,7 +16,7 @@ from numba import njit, prange, types
 from numba.extending import intrinsic
 
 from multicell.cells import FloatArray
-from multicell.compiling import INLINED, INNER
+from multicell.compiling import INLINED, INNER, UNCOUNTED
 from multicell.mechanics.neighbours.pair_list import IndexArray, OffsetArray
 from multicell.mechanics.rows import RADIUS
 
@@ -64,7 +64,7 @@ class Bins(NamedTuple):
     ranges: OffsetArray
 
 
-@njit(**INNER)
+@njit(**UNCOUNTED)
 def _extent(c, chunk, position, radius, extent):
     """Write the corners of the box round a chunk's centres, and its largest radius."""
     begin, end = np.uint64(c * chunk), np.uint64(min((c + 1) * chunk, radius.size))
@@ -108,7 +108,7 @@ def _bin_along(x, axis, largest, low, shape):
     return min(np.int64((x - low[axis]) * inverse), shape[axis] - 1)
 
 
-@njit(**INNER)
+@njit(**UNCOUNTED)
 def _assign(c, chunk, position, largest, low, shape, shift, bin_of, count):
     """Write the bins of a chunk's cells, and how many lie in each slab of 2 ** ``shift`` bins."""
     for s in range(count.shape[1]):
@@ -122,7 +122,7 @@ def _assign(c, chunk, position, largest, low, shape, shift, bin_of, count):
         count[c, np.uint64(b >> shift)] += 1
 
 
-@njit(**INNER)
+@njit(**UNCOUNTED)
 def _place_slabs(count):
     """Turn counts into the places of each chunk's cells, slab after slab."""
     total = 0
@@ -131,7 +131,7 @@ def _place_slabs(count):
             count[c, s], total = total, total + count[c, s]
 
 
-@njit(**INNER)
+@njit(**UNCOUNTED)
 def _part(c, chunk, bin_of, shift, at, by_slab):
     """Write a chunk's cells among those of their slabs; ``at[c]`` then holds the ends of these."""
     for i in range(np.uint64(c * chunk), np.uint64(min((c + 1) * chunk, bin_of.size))):
@@ -140,7 +140,7 @@ def _part(c, chunk, bin_of, shift, at, by_slab):
         at[c, s] += 1
 
 
-@njit(**INNER)
+@njit(**UNCOUNTED)
 def _sort(s, shift, ends, by_slab, bin_of, position, radius, skin, start, place, order, cells):
     """Sort the cells of a slab by counting: write where its bins end, and line up the cells."""
     begin, end = ends[s - 1] if s > 0 else np.int64(0), ends[s]
@@ -188,7 +188,7 @@ def _stable_order(key):
     return order
 
 
-@njit(**INNER)
+@njit(**UNCOUNTED)
 def _first_not_below(key, count, wanted):
     """Return the first of ``count`` places of a sorted key whose value is not below ``wanted``."""
     low, high = 0, count

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit, prange
 
 from multicell.cells import FloatArray
-from multicell.compiling import INNER
+from multicell.compiling import INNER, UNCOUNTED
 from multicell.compiling.threads import two_drivers
 from multicell.mechanics.neighbours.bins import (
     LANES,
@@ -72,7 +72,7 @@ def too_many_pairs(n: int) -> str:
     return f"more than {500 * n + _SPARE_PAIRS} pairs among {n} cells"
 
 
-@njit(**INNER)
+@njit(**UNCOUNTED)
 def _note(i, own, order, hits, count, at, stop, first, second):
     """Write the pairs of cell i with its hits, inner and outer ones to their places ``at``.
 
@@ -138,7 +138,7 @@ def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
             second[at[0] + k] = second[stop[0] + k]
 
 
-@njit(**INNER)
+@njit(**UNCOUNTED)
 def _count_mirrored(g, chunk, base, found, second, at):
     """Count the outer pairs of some chunks, the part ``g``, by the chunks of their second cells."""
     parts, chunks = at.shape
@@ -150,7 +150,7 @@ def _count_mirrored(g, chunk, base, found, second, at):
             at[g, np.uint64(second[k] // chunk)] += 1
 
 
-@njit(**INNER)
+@njit(**UNCOUNTED)
 def _make_room(base, room, found, at, end):
     """Turn these counts into places behind the chunks' own pairs, and write where lists end.
 
@@ -169,7 +169,7 @@ def _make_room(base, room, found, at, end):
     return enough
 
 
-@njit(**INNER)
+@njit(**UNCOUNTED)
 def _mirror(g, chunk, base, found, first, second, at):
     """Give the outer pairs of a part's chunks to the chunks of their second cells, too."""
     parts, chunks = at.shape
