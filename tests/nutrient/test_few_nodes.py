@@ -25,7 +25,7 @@ def test_the_inverse_is_that_of_scipy(shape, values):
     y = rng.normal(size=shape).astype(np.float32)
     u, room = y.copy(), np.empty((2, y.size), np.float32)
     halves, of = zip(*(dense.halves(n, v) for n, v in zip(shape, values, strict=True)), strict=True)
-    product = dense._invert(u, 0.2, room, *halves, *(0.7 * along for along in of))
+    product = dense._invert(u, 0.2, 0.7, room, *halves, *of)
     spectrum = y.astype(float)
     for axis, v in enumerate(values):
         spectrum = (fft.dst if v else fft.dct)(spectrum, type=2, axis=axis, norm="ortho")
