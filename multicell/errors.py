@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import unicodedata
 from collections.abc import Sequence
 from enum import IntEnum
 from typing import ClassVar, Final, Self, final
@@ -94,10 +95,17 @@ def is_set(name: str) -> bool:
 
 
 def printable(text: str, *, lines: bool = False) -> str:
-    r"""Return a text with ``\x1b`` and the like for what is not printable (or no line break)."""
+    r"""Return a text with ``\x1b`` and the like for what is not printable, but for spaces.
+
+    - ``lines``: ends of lines and tabs stay as well
+    """
     if lines:
-        return "\n".join(map(printable, text.split("\n")))
-    return "".join(x if x.isprintable() else ascii(x)[1:-1] for x in text)
+        text = text.replace("\r\n", "\n")
+    kept = "\n\t" if lines else ""
+    return "".join(
+        x if x.isprintable() or x in kept or unicodedata.category(x) == "Zs" else ascii(x)[1:-1]
+        for x in text
+    )
 
 
 class MulticellError(Exception):

@@ -211,30 +211,6 @@ def test_code_from_disk_is_run_without_what_compiles(tmp_path, function, call):
     assert [words[3] for words in seen] == ["True", "False"]
 
 
-def test_numba_compiles_its_functions_once_for_all_ways_to_call_their_callers():
-    found = []
-
-    class Compiled(event.Listener):
-        def on_start(self, event):
-            dispatcher = event.data["dispatcher"]
-            if event.data["args"] not in dispatcher.overloads:
-                found.append(dispatcher.py_func.__module__)
-
-        def on_end(self, event):
-            pass
-
-    with event.install_listener("numba:compile", Compiled()):
-        for options in ({"nogil": True}, {"forceinline": True}, {"no_cfunc_wrapper": True}):
-            assert njit(**options)(lambda a, b: max(a, b))(np.int16(3), np.uint8(4)) == 4
-        assert found.count("numba.cpython.builtins") == 1
-        # arrays must not be made without the counting of references: another option, and code
-        made = njit(lambda n: np.zeros(n)), njit(_nrt=False)(lambda n: np.zeros(n))
-        assert made[0](3).size == 3
-        with pytest.raises(Exception, match="returning of array"):
-            made[1](3)
-    assert found.count(__name__) == 5
-
-
 def test_loops_and_python_share_the_forces():
     sim = mc.Simulation(mc.load_scene("doublet"))
     sim.step()

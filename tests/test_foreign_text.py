@@ -80,10 +80,11 @@ def test_measured_data_are_refused_in_printable_words(bad, tmp_path):
                  f'time / h,diameter / um\n1,"{bad}"\n'):  # fmt: skip
         path.write_bytes(text.encode())
         done = CliRunner().invoke(
-            main, ["fit", "growth", "--data", str(path), "--free", "growth.cycle_time=10 h..20 h",
+            main, ["fit", "growth", "--data", str(path), "--free", "growth.cycle_time=10:20 h",
                    "-o", str(tmp_path / "fit")],
         )  # fmt: skip
         assert done.exit_code == 2
+        assert "data.csv" in done.stderr
         assert all(line.isprintable() for line in done.stderr.splitlines())
 
 

@@ -29,9 +29,6 @@ functions                               callers, as ours are; each would be opti
                                         into machine code that nothing calls: 6 % of the first
                                         command. Not those of users: pieces have no environment,
                                         which ``objmode`` and exceptions with values need.
-options of callers           speed      numba compiles its functions once more for each way in which
-                                        callers are called, and sorts the names of all options
-                                        whenever it looks for one: 3 % of the first command.
 types of operators           speed      numba tries dozens of rules for each operator, and words why
                                         most of them do not fit: 7 % of the first command.
 collector of garbage         speed      numba makes millions of objects that live until it is done:
@@ -73,7 +70,6 @@ from numba.core.event import install_recorder
 from numba.core.pythonapi import _boxers
 from numba.core.registry import cpu_target
 from numba.core.runtime.nrt import rtsys
-from numba.core.targetconfig import ConfigStack, TargetConfig
 from numba.core.types.functions import BaseFunction
 from numba.core.typing.templates import _OverloadFunctionTemplate
 from numba.cpython import hashing  # noqa: F401 - names symbols that code from disk may ask for
@@ -162,29 +158,11 @@ _OURS = ("multicell.", "numba.cpython.", "numba.np.")
 def _jit_of_overloads(template: Any) -> Callable[..., Any]:
     """Return a function that compiles an overload, such as numba's ``np.empty``: as a piece."""
     compiles = _plain_jit(template)  # type: ignore[no-untyped-call]
-    # by the key of what is compiled as it stands: the function is one of ``register_jitable``
-    modules = [getattr(of, "__module__", "") for of in (template._overload_func, template.key)]
-    if not any(str(module).startswith(_OURS) for module in modules):
+    if not str(template._overload_func.__module__).startswith(_OURS):
         return compiles  # type: ignore[no-any-return]
     return lambda **options: compiles(
         **{"pipeline_class": PieceCompiler, "no_cfunc_wrapper": True, **options}
     )
-
-
-_OF_CALLERS = ("forceinline", "release_gil", "no_cpython_wrapper", "no_cfunc_wrapper")
-"""Options that say how a function is called, which is nothing to what it calls."""
-
-
-def _overload_of(template: Any, args: Any, kws: Any) -> Any:
-    """Return the function of an overload for arguments, one for all such options of callers."""
-    options: Any = ConfigStack.top_or_none()  # type: ignore[no-untyped-call]
-    if options is not None:
-        options = options.copy()
-        for name in _OF_CALLERS:
-            options.discard(name)
-    key = template.context, tuple(args), tuple(kws.items()), options
-    found = template._impl_cache.get(key)
-    return template._build_impl(key, args, kws) if found is None else found
 
 
 _Function: Any = BaseFunction
@@ -373,8 +351,7 @@ def change_numba(stamp_of: Callable[[str], Any]) -> None:
     caching.Cache.load_overload = _load_overload  # type: ignore[method-assign]
     _Dispatcher._compilation_chain_init_hook = _hook
     template: Any = _OverloadFunctionTemplate
-    template._get_jit_decorator, template._get_impl = _jit_of_overloads, _overload_of
-    TargetConfig.__hash__ = lambda options: hash(type(options))  # type: ignore[method-assign]
+    template._get_jit_decorator = _jit_of_overloads
     _Function.get_call_type = _call_type
     _boxers.functions |= {
         types.Array: _box_array,

@@ -155,9 +155,8 @@ def write_hdf5(path: Path, *content: Any) -> None:
 def image(*content: Any) -> bytes:
     """Return the bytes of a file as :func:`write_hdf5` writes it."""
     file = io.BytesIO()
-    sink = Sink(file)
-    _write(sink, *content)
-    sink.finish()
+    with _filled(file) as sink:
+        _write(sink, *content)
     return file.getvalue()
 
 
@@ -207,16 +206,22 @@ def whole_file(path: Path, check: Check, beside: str = "part") -> Iterator[Sink]
 
     - ``check``, ``beside``: as of :func:`multicell.results.folder.replace_by_name`
     """
-    with replace_file(path, check, beside) as file:
-        sink = Sink(file)
-        try:
-            yield sink
-        except OutputError:
-            raise
-        except Exception:
-            sink.check()  # what HDF5 says after a refused write means nothing
-            raise
-        sink.finish()
+    with replace_file(path, check, beside) as file, _filled(file) as sink:
+        yield sink
+
+
+@contextmanager
+def _filled(file: Any) -> Iterator[Sink]:
+    """Give what HDF5 may write to an open file."""
+    sink = Sink(file)
+    try:
+        yield sink
+    except OutputError:
+        raise
+    except Exception:
+        sink.check()  # what HDF5 says after a refused write means nothing
+        raise
+    sink.finish()
 
 
 def _write(

@@ -7,6 +7,7 @@ from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from functools import cache
+from types import MappingProxyType
 from typing import Any, Final, TypeVar, final
 
 from multicell.errors import SceneError
@@ -120,14 +121,14 @@ class Tables(Mapping[str, V]):
         return f"Tables({self._entries!r})"
 
 
-def specs(part: Any) -> dict[str, Parameter]:
+def specs(part: Any) -> Mapping[str, Parameter]:
     """Return the declaration of every field of a part (its class or an instance) by name."""
     return _specs(part if isinstance(part, type) else type(part))
 
 
 @cache
-def _specs(part: type[Any]) -> dict[str, Parameter]:
-    return {spec.name: spec.metadata["parameter"] for spec in fields(part)}
+def _specs(part: type[Any]) -> Mapping[str, Parameter]:
+    return MappingProxyType({spec.name: spec.metadata["parameter"] for spec in fields(part)})
 
 
 def build_part(part: type[T], value: object, path: str = "", also: tuple[str, ...] = ()) -> T:

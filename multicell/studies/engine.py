@@ -152,7 +152,8 @@ def run_study(
 def _sync(folder: Path, names: list[str]) -> None:
     """Have the names in folders of runs on the disk, which brief runs leave to us; forget these."""
     while names:
-        sync_folder(run_folder(folder, names.pop()))
+        sync_folder(run_folder(folder, names[-1]))  # an interrupt forgets none
+        del names[-1]
     sync_folder(folder / "runs")
 
 

@@ -107,9 +107,8 @@ class Plan:
         """
         made, places = [], itertools.product(range(len(self.scenes)), range(self.seeds))
         for name, (k, j) in zip(self.names, places, strict=True):
-            seeded = copy(
-                self.scenes[k]
-            )  # which is checked already, and no check asks for the seed
+            # the scene is checked already, and no check asks for the seed
+            seeded = copy(self.scenes[k])
             object.__setattr__(seeded, "seed", seeded.seed + j)
             where = {**self.points[k].coordinates, "seed": seeded.seed}
             made.append(StudyRun(name, seeded, where, expected[k]))

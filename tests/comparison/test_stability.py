@@ -126,6 +126,26 @@ def test_adhesive_cells_that_touch_by_rounding_pull_each_other_in(gap):
     assert near.stiff_limit < 1e4
 
 
+def within(x, law, **domain):
+    """Such cells in a box."""
+    scene, sides = painted(x, law), {axis: ["-50 um", "50 um"] for axis in "xyz"}
+    return scene.with_changes({"domain": {**sides, **domain}})
+
+
+@pytest.mark.parametrize("law", ["linear", "jkr"])
+def test_cells_that_touch_through_a_periodic_face_are_as_those_inside(law):
+    across = settled_state(within([-47, 46.5], law, periodic=["x"]), 1)
+    inside = settled_state(within([0, 6.5], law, periodic=["x"]), 1)
+    assert across.rate == pytest.approx(inside.rate, rel=1e-6)
+    assert across.noticed == pytest.approx(inside.noticed, rel=1e-3)
+
+
+@pytest.mark.parametrize("law", ["linear", "jkr", "hertz"])
+def test_walls_alone_hold_no_cells_together(law):
+    with pytest.raises(SceneError, match=r"nothing holds|no cells touch"):
+        settled_state(within([-47, 46.5], law), 1)
+
+
 @pytest.mark.parametrize(
     ("x", "law", "words"),
     [

@@ -167,7 +167,7 @@ def free_of(
                 problem = "is a condition of the data, so that no fit can choose it"
                 raise SceneError(key, problem)
     ranges = parse_ranges(plain, measured.conditions[0].scene)
-    orders = Constraints.of(constraints, ranges)
+    orders = Constraints.of(constraints or (), ranges)
     for condition in measured.conditions:
         try:
             check_ranges(condition.scene, orders.apart())

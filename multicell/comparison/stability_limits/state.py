@@ -23,6 +23,7 @@ from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
 from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
+from multicell.vectors import nearest_differences
 
 PUSH: Final = 0.005
 """Displacement along the stiffest mode from which a settled cluster starts, over the overlap of
@@ -147,10 +148,11 @@ def settled_state(scene: Scene, threads: int | None = None) -> TrialState:
 
 def _strained_overlap(state: TrialState, position: FloatArray, mode: FloatArray) -> float:
     """Return the overlap in µm of the pair in contact that a mode strains most."""
-    pairs = state.system(0.0, 1.0).contacts(0.0, position)
+    system = state.system(0.0, 1.0)
+    pairs = system.contacts(0.0, position)
     if not len(pairs):  # springs at rest
         return 1e-4 * state.radius
-    line = position[pairs[:, 1]] - position[pairs[:, 0]]
+    line = nearest_differences(position[pairs[:, 0]], position[pairs[:, 1]], system.period)
     distance = np.linalg.norm(line, axis=1)
     strain = np.einsum("ij,ij->i", mode[pairs[:, 1]] - mode[pairs[:, 0]], line) / distance
     most = int(np.abs(strain).argmax())
@@ -187,8 +189,9 @@ def _bound(state: TrialState, position: FloatArray) -> float:
 def _pressed_bound(state: TrialState) -> float:
     """Return a bound on the decay rates, 1/s, of the first cells where they are a tenth nearer."""
     middle = state.start.mean(axis=0)
-    pressed = middle + 0.9 * (state.start - middle)
-    return state.system(0.0, 1.0).stiffness_bound(0.0, pressed)
+    pressed = middle + 0.9 * (state.start - middle)  # through a periodic face it draws them apart
+    system = state.system(0.0, 1.0)
+    return max(system.stiffness_bound(0.0, place) for place in (pressed, state.start))
 
 
 def _advance(system: Mechanics, position: FloatArray) -> FloatArray:
